@@ -3,6 +3,7 @@
     python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
     python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
 
+With a task as the last word it makes this one's runs alone, so that two of them can run at once.
 Each evaluated training becomes rows of results/NAME.csv at once, so a command that was stopped goes
 on where it was. In *crossed*, for each task, training seed and level of episodes, one MAD run
 records, and every loss learns from its episodes. A set of them, 0.7 GB, is removed after its last
@@ -82,10 +83,10 @@ class Row(NamedTuple):
     at_any_step: str
 
 
-def crossed(out: Path) -> None:
+def crossed(out: Path, tasks: Sequence[str] = TASKS) -> None:
     """*Loss and episodes*."""
     table = ROOT / "results" / "crossed.csv"
-    for task, seed, level in itertools.product(TASKS, SEEDS, LEVELS):
+    for task, seed, level in itertools.product(tasks, SEEDS, LEVELS):
         folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
         left = [loss for loss in LOSSES if (task, level, seed, *loss) not in done(table)]
         for loss in left:
@@ -99,15 +100,15 @@ def crossed(out: Path) -> None:
             shutil.rmtree(folder)
 
 
-def rewards(out: Path) -> None:
+def rewards(out: Path, tasks: Sequence[str] = ("toy/reach",)) -> None:
     """*Reinforcement learning*, the part on toy/reach."""
     table = ROOT / "results" / "rewards.csv"
-    for seed, loss in itertools.product(range(1, 6), FROM_REWARDS):
-        place = ("toy/reach", "its own", seed)
+    for task, seed, loss in itertools.product(tasks, range(1, 6), FROM_REWARDS):
+        place = (task, "its own", seed)
         if (*place, *loss) in done(table):
             continue
         folder = out / f"{loss.name}-seed{seed}"
-        _train(folder, "toy/reach", seed, loss, REWARDS)
+        _train(folder, task, seed, loss, REWARDS)
         _add(table, _evaluated(folder, place, loss, 100))
 
 
@@ -169,8 +170,8 @@ DESIGNS = {"crossed": crossed, "rewards": rewards}
 
 
 def main(words: Sequence[str]) -> None:
-    name, out = words
-    DESIGNS[name](Path(out))
+    name, out, *tasks = words
+    DESIGNS[name](Path(out), *([tasks] if tasks else []))
 
 
 if __name__ == "__main__":

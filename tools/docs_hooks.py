@@ -5,6 +5,7 @@
     results.md        results/RESULTS.md with its pictures
     tried.md          results/archive/tried.json: what was tried and did not help
     lessons.md        notebooks/README.md: the lessons, one by one
+    audits/*.html     the audits of results/audits
 
 architecture.md also gets the list of files, under its last heading. None of this is written to
 docs/, so it cannot go stale there.
@@ -19,6 +20,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import audits
 import package_tree
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -40,6 +42,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "results.md": results(),
         "tried.md": tried(),
         "lessons.md": lessons(),
+        **audits.pages(),
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))

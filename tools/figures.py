@@ -1,5 +1,5 @@
-"""docs/findings.svg, README's plot, from the files of the policies, and docs/soak.svg, memory of
-the page's server, from those of `madviz soak`.
+"""Pictures of the docs, from files of results: findings.svg, README's plot; loss-and-episodes.svg,
+once that design is complete; and soak.svg, memory of the page's server in `madviz soak`.
 
 python tools/figures.py
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from crossed_table import crossed_figure
 from measurements import read_all
 from policy_files import ROOT, every_table
 
@@ -53,6 +54,8 @@ def _changes(memory: dict[str, Any]) -> list[float]:
 
 def main() -> None:
     (DOCS / "findings.svg").write_text(findings_figure())
+    if picture := crossed_figure():
+        (DOCS / "loss-and-episodes.svg").write_text(picture)
     if read_all("archive/soak/*"):
         (DOCS / "soak.svg").write_text(soak_figure())
 

@@ -16,6 +16,8 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 
+import audits
+import crossed_table
 import guard_table
 import measurements
 import package_tree
@@ -121,6 +123,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "mv-mwm": partial(included, "mv-mwm"),
     "beside-imagining": measurements.beside_imagining,
     "packages": package_tree.packages,
+    "crossed": crossed_table.crossed,
     "rewards": rewards_table.rewards,
     "recorded": recorded_table.recorded,
     "guard-trial": guard_table.guard_trial,
@@ -133,7 +136,10 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "imagine": measurements.imagine,
     "view-masking": measurements.view_masking,
     "places": measurements.places,
-    "audits": measurements.audits,
+    "audits": audits.audits,
+    "audit-hammer-mad": partial(audits.sentences, "metaworld-hammer-mad-light"),
+    "audit-hammer-merged-only": partial(audits.sentences, "metaworld-hammer-merged-only-light"),
+    "audit-push-cube": partial(audits.sentences, "maniskill-push-cube-mad-paper-vectorised"),
     "soak": measurements.soak,
     "site-speed": measurements.site_speed,
     "site-success": measurements.site_success,

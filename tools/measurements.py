@@ -13,7 +13,6 @@ from typing import Any
 
 from policy_files import LABELS, ROOT, SINGLES, on_development, policies, rates, row
 
-from madviz.measure.audit.sentences import change, deciding
 from madviz.measure.statistics import SuccessRate, pair
 from madviz.report.layouts import THREE
 from madviz.soak.soak import growth_an_hour
@@ -96,7 +95,8 @@ BENCHMARKS = (
         "evaluate --workers 2",
         "{ours:.1f} episodes per minute; one process {serial:.1f} ({ratio_serial:.1f} times), with "
         "the simulator's own rendering {stock:.2f} ({ratio_stock:.0f} times)",
-    ),    (
+    ),
+    (
         "recordings",
         "",
         "recordings --lerobot PYTHON",
@@ -349,21 +349,6 @@ def places() -> str:
             rows.append((result["policy"], LABELS[camera], *success, *picture, *errors))
     header = ("policy", "camera", "success alone", "place", "in its picture", "from its feature")
     return table((*header, "from the state", "mean place"), rows)
-
-
-def audits() -> str:
-    """The audits of results/audits, a row each: the verdict of every camera, and success without
-    it against all cameras."""
-    rows = []
-    for found in read_all("audits/*").values():
-        n = found["intact"]["n"]
-        intact = SuccessRate.of(round(found["intact"]["success"] * n), n)
-        cells = [
-            f"{verdict}, {change(deciding(found, camera, 'removed'))}"
-            for camera, verdict in found["verdict"].items()
-        ]
-        rows.append((f"{found['policy']}, {found['task']}", intact, *cells))
-    return table(("policy, task", "all cameras", *(LABELS[camera] for camera in SINGLES)), rows)
 
 
 def soak() -> str:

@@ -3,16 +3,14 @@ from results/rewards.csv (``python tools/designs.py rewards``)."""
 
 from __future__ import annotations
 
-from designs import FROM_REWARDS
 from measurements import table
 from policy_files import ROOT
 
-from madviz.report.designs import read_rows
+from madviz.report.designs import DESIGNS, finished, read_rows
 from madviz.report.findings import verdict
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row, difference
 
-TRAININGS = 5
 NAMES = {
     "mad": "MAD",
     "merged-only": "Merged Only",
@@ -29,10 +27,9 @@ def rewards() -> str:
         {row.label: row for _, row in read_rows(file, outcome)}
         for outcome in ("at_last_step", "at_any_step")
     )
-    finished = sum(row.trainings for row in last.values())
-    wanted = TRAININGS * len(FROM_REWARDS)
-    if finished < wanted:
-        return f"{finished} of {wanted} trainings are finished; nothing is said before all are.\n"
+    wanted = DESIGNS[file.name].trainings
+    if (found := finished(file)) < wanted:
+        return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
     lines = [
         [
             name,

@@ -4,13 +4,15 @@ A line is one subset of one training, with a digit for each of its episodes, 1 f
 
     task, episodes, seed, method, alpha, camera, subset, first_seed, at_last_step, at_any_step
 
-*episodes* is what was learned from, and *seed* that of the training. ``camera`` is that
-of Single Camera, whose *all* is this camera.
+*episodes* is what was learned from, and *seed* that of the training. ``camera`` is that of Single
+Camera, whose *all* is this camera. Nothing is said of a design before all its trainings are there.
 """
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -19,43 +21,88 @@ from madviz.report.layouts import THREE, Layout
 from madviz.report.rows import Row
 from madviz.report.tables import ResultTable
 
+Line = Mapping[str, str]
 Outcome = Literal["at_last_step", "at_any_step"]
-FILES = {
-    "rewards.csv": Layout(
-        "rewards", "From rewards", "Do methods differ, trained from rewards?", lambda _: None, THREE
-    )
+TRAINING = ("task", "episodes", "seed", "method", "alpha", "camera")
+"""One training differs from another in one of these."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A file of outcomes: its table, and when it is complete."""
+
+    layout: Layout
+    imitation: bool
+    trainings: int
+    """All that it asks for."""
+    label: Callable[[Line], str]
+    """The row that a line belongs to."""
+
+
+def _loss(line: Line) -> str:
+    """``mad, alpha 0.25, turns``; of the other losses, ``single, turns``."""
+    alpha = f", alpha {line['alpha']}" if line["method"] == "mad" else ""
+    return f"{line['method']}{alpha}, {line['episodes']}"
+
+
+def _layout(key: str) -> Layout:
+    return Layout(key, "", "", lambda _: None, THREE)
+
+
+DESIGNS = {
+    "rewards.csv": Design(_layout("rewards"), False, 25, lambda line: line["method"]),
+    "crossed.csv": Design(_layout("crossed"), True, 84, _loss),
 }
-"""By the name of a design's file, its table."""
+"""By the name of a file; results/designs.md says what each is for."""
 
 
 def design_tables(folder: Path) -> list[ResultTable]:
-    """The tables of the designs that have a file in ``folder``, by success at the last step.
-    Raises UserError for a file with other columns or outcomes."""
+    """The tables of the complete designs that have a file in ``folder``, by success at the last
+    step. Raises UserError for a file with other columns or outcomes."""
     tables = []
-    for name, layout in FILES.items():
-        if (folder / name).is_file():
-            rows = read_rows(folder / name, "at_last_step")
-            suites = {task.split("/")[0] for task, _ in rows}
-            for suite in sorted(suites):
+    for name, design in DESIGNS.items():
+        file = folder / name
+        if file.is_file() and finished(file) == design.trainings:
+            rows = read_rows(file, "at_last_step")
+            for suite in sorted({task.split("/")[0] for task, _ in rows}):
                 mine = tuple(pair for pair in rows if pair[0].startswith(f"{suite}/"))
-                tables.append(ResultTable(layout, suite, THREE, mine, (), imitation=False))
+                imitation = design.imitation
+                tables.append(ResultTable(design.layout, suite, THREE, mine, (), imitation))
     return tables
+
+
+def finished(file: Path) -> int:
+    """How many trainings have outcomes in ``file``. Raises UserError."""
+    return len({tuple(line[word] for word in TRAINING) for line in _lines(file)})
 
 
 def read_rows(file: Path, outcome: Outcome) -> list[tuple[str, Row]]:
     """Task and row of every method in ``file``. Raises UserError."""
+    label = DESIGNS[file.name].label
     found: dict[tuple[str, str], Row] = {}
-    try:
-        with file.open(newline="") as lines:
-            for line in csv.DictReader(lines):
-                task = line["task"]
-                row = found.setdefault((task, line["method"]), Row(line["method"]))
-                cell = row.cells.setdefault(line["camera"] or line["subset"], {})
-                for number, digit in enumerate(line[outcome]):
-                    unit = (task, int(line["seed"]), int(line["first_seed"]) + number)
-                    cell[unit] = bool(int(digit))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{file}: expected a design's columns, and 0 or 1 for each episode, found {error!r:.80}"
-        ) from error
+    for line in _lines(file):
+        key = (line["task"], label(line))
+        row = found.setdefault(key, Row(key[1]))
+        cell = row.cells.setdefault(line["camera"] or line["subset"], {})
+        for number, digit in enumerate(line[outcome]):
+            unit = (line["task"], int(line["seed"]), int(line["first_seed"]) + number)
+            cell[unit] = digit == "1"
     return [(task, row) for (task, _), row in found.items()]
+
+
+def _lines(file: Path) -> list[dict[str, str]]:
+    with file.open(newline="") as text:
+        lines = list(csv.DictReader(text))
+    wanted = {*TRAINING, "subset", "first_seed", "at_last_step", "at_any_step"}
+    for number, line in enumerate(lines, 2):
+        if set(line) != wanted or None in line.values() or not _readable(line):
+            raise UserError(
+                f"{file}: expected a design's columns, and 0 or 1 for each episode, found other "
+                f"ones in line {number}"
+            )
+    return lines
+
+
+def _readable(line: Line) -> bool:
+    digits = line["at_last_step"] + line["at_any_step"]
+    return line["seed"].isdecimal() and line["first_seed"].isdecimal() and set(digits) <= {*"01"}

@@ -37,8 +37,12 @@ CUBE = "maniskill/push-cube"
 REACH = "toy/reach"
 FROM_REWARDS = ("scratch", "rewards")
 """The tables of policies that learn by reinforcement."""
-Place = tuple[str, str]
-"""A layout's key and a row's label in its table."""
+LOSSES = ("mad, alpha 0.25", "mad, alpha 0.8", "merged-only", "singular-only")
+"""Those of the design *Loss and episodes* that have all cameras."""
+LEVELS = ("turns", "all")
+"""Its recorded episodes, by what drove: all cameras and single ones in turn, or all alone."""
+Place = tuple[str, str | tuple[str, ...]]
+"""A layout's key, and a row's label in its table, or those of several rows, whose mean is meant."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +58,6 @@ class Finding:
     expected: Literal["ahead", "alike"] = "ahead"
     headline: bool = False
     """True where README has a sentence of it above the table."""
-    trainings: int = 1
-    """Trainings that its design asks for; before all of them are there, nothing is said."""
 
     @property
     def place(self) -> str:
@@ -164,7 +166,6 @@ FINDINGS = (
         THREE,
         "MAD is ahead",
         headline=True,
-        trainings=5,
     ),
     Finding(
         "Trained by rewards, MAD on Third A succeeds as often as a policy of Third A only",
@@ -174,7 +175,6 @@ FINDINGS = (
         ("third_a",),
         "MAD is ahead",
         "alike",
-        trainings=5,
     ),
     Finding(
         "With two cameras turned away, MAD succeeds as often as the third's own policy, alpha 0.25",
@@ -213,17 +213,44 @@ FINDINGS = (
         "no loss",
         "alike",
     ),
+    *(
+        Finding(
+            "From the same recorded episodes, on a single camera, MAD succeeds more often than "
+            f"Merged Only, {alpha}",
+            task,
+            ("crossed", tuple(f"mad, {alpha}, {level}" for level in LEVELS)),
+            ("crossed", tuple(f"merged-only, {level}" for level in LEVELS)),
+            ALONE,
+            "MAD is ahead",
+            headline=task == PUSH,
+        )
+        for task in (PUSH, CUBE)
+        for alpha in ("alpha 0.25", "alpha 0.8")
+    ),
+    *(
+        Finding(
+            "With the same losses, a single camera succeeds more often if single cameras drove, "
+            "too, where episodes were recorded",
+            task,
+            ("crossed", tuple(f"{loss}, turns" for loss in LOSSES)),
+            ("crossed", tuple(f"{loss}, all" for loss in LOSSES)),
+            ALONE,
+            "not asked",
+            headline=task == PUSH,
+        )
+        for task in (PUSH, CUBE)
+    ),
 )
 
 
-def judged(tables: Sequence[ResultTable]) -> list[Judged]:
-    """Every finding whose rows are in ``tables``, in the order of ``FINDINGS``."""
+def judged(tables: Sequence[ResultTable], claims: Sequence[Finding] = FINDINGS) -> list[Judged]:
+    """Every one of ``claims`` whose rows are in ``tables``, in their order."""
     found = []
-    for finding in FINDINGS:
-        first = _row(tables, finding.task, finding.first)
-        second = _row(tables, finding.task, finding.second)
-        gap = difference(first, second, finding.columns) if first and second else None
-        if first and gap and len(gap.trainings) >= finding.trainings:
+    for finding in claims:
+        first = _row(tables, finding, finding.first)
+        second = _row(tables, finding, finding.second)
+        gap = difference(first, second, list(first.cells)) if first and second else None
+        if first and gap:
             rewards = finding.first[0] in FROM_REWARDS
             learning = "reinforcement learning" if rewards else "imitation"
             measured = f"{learning}, {finding.place}, {_amount(gap)}, {first.seeds}"
@@ -262,13 +289,22 @@ def _amount(gap: Difference) -> str:
     return f"{trainings} training{'s' * (trainings > 1)}, n = {gap.n}"
 
 
-def _row(tables: Sequence[ResultTable], task: str, place: Place) -> Row | None:
-    key, label = place
-    rows = [
-        row
-        for table in tables
+def _row(tables: Sequence[ResultTable], finding: Finding, place: Place) -> Row | None:
+    """The columns that ``finding`` is about, of one row, or of several beside each other; None
+    where one is missing."""
+    key, labels = place
+    wanted = (labels,) if isinstance(labels, str) else labels
+    rows = {
+        row.label: row
+        for table in reversed(tables)  # The first of its label counts.
         if table.layout.key == key
-        for at, row in table.rows
-        if (at, row.label) == (task, label)
-    ]
-    return rows[0] if rows else None
+        for task, row in table.rows
+        if task == finding.task
+    }
+    if not rows.keys() >= set(wanted):
+        return None
+    found = Row(", ".join(wanted))
+    for number, label in enumerate(wanted):
+        for column in rows[label].measured(finding.columns):
+            found.cells[f"{column} {number}"] = rows[label].cells[column]
+    return found

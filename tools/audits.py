@@ -1,0 +1,97 @@
+"""The audits of docs/audit.md, and the pages that it links to.
+
+    python tools/audits.py runs/audits NAME...    plays those of them, and writes results/audits/
+
+A served policy must be served first, and a file of Stable-Baselines3 must lie where the command is
+called (``integrations/``). An audit that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from measurements import read, table
+from policy_files import LABELS, ROOT, SINGLES
+
+from madviz.measure.audit.account import account
+from madviz.measure.audit.sentences import change, deciding, in_words
+from madviz.measure.blocks import html
+from madviz.measure.statistics import SuccessRate
+
+FIRST_SEED = 10_000
+"""A development seed."""
+OURS = "--how dropped black"
+AUDITS = {
+    "metaworld-hammer-mad-light": f"--policy metaworld-hammer-mad-light {OURS}",
+    "metaworld-hammer-merged-only-light": f"--policy metaworld-hammer-merged-only-light {OURS}",
+    "maniskill-push-cube-mad-paper-vectorised": (
+        f"--policy maniskill-push-cube-mad-paper-vectorised {OURS}"
+    ),
+    "lerobot-act-plain": f"--policy ws://127.0.0.1:8001 {OURS} --episodes 50",
+    "lerobot-act-view-dropout": f"--policy ws://127.0.0.1:8001 {OURS} --episodes 50",
+    "sb3-ppo-reach": "--policy sb3:ppo-reach.zip@toy/reach --trust --how mean black",
+}
+"""By the name of its file, the options of an audit."""
+
+
+def command(name: str) -> str:
+    """The command line of an audit, but for its folder."""
+    return f"madviz audit {AUDITS[name]} --seed {FIRST_SEED}"
+
+
+def audits() -> str:
+    """A row each: the verdict of every camera, success without it against all cameras, a link."""
+    rows = []
+    for name in AUDITS:
+        found = read(f"audits/{name}")
+        n = found["intact"]["n"]
+        intact = SuccessRate.of(round(found["intact"]["success"] * n), n)
+        cells = [
+            f"{verdict}, {change(deciding(found, camera, 'removed'))}"
+            for camera, verdict in found["verdict"].items()
+        ]
+        link = f"[{found['policy']}](audits/{name}.html), {found['task']}"
+        rows.append((link, intact, *cells))
+    return table(("policy, task", "all cameras", *(LABELS[camera] for camera in SINGLES)), rows)
+
+
+def sentences(name: str) -> str:
+    """The command of an audit and its result in words."""
+    lines = "".join(f"- {line}\n" for line in in_words(_document(name)))
+    return f"`{command(name)} --out DIR`:\n\n{lines}"
+
+
+def pages() -> dict[str, str]:
+    """By address in the documentation, the page of every audit; films are made only where an audit
+    is played."""
+    return {
+        f"audits/{name}.html": html(account(_document(name), f"{command(name)} --out {name}"))
+        for name in AUDITS
+    }
+
+
+def _document(name: str) -> Any:
+    return read(f"audits/{name}")
+
+
+def play(out: Path, name: str) -> None:
+    """Plays an audit and keeps its document."""
+    words = shlex.split(command(name))[1:]
+    subprocess.run([sys.executable, "-m", "madviz", *words, "--out", out / name], check=True)
+    shutil.copy(out / name / "audit.json", ROOT / "results" / "audits" / f"{name}.json")
+
+
+def main(words: list[str]) -> None:
+    out = Path(words[0])
+    out.mkdir(parents=True, exist_ok=True)
+    for name in words[1:]:
+        play(out, name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

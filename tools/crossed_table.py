@@ -1,0 +1,72 @@
+"""The block and the picture of docs/training.md on losses and recorded episodes, as
+results/designs.md fixes them, from results/crossed.csv (``python tools/designs.py crossed``)."""
+
+from __future__ import annotations
+
+from measurements import table
+from policy_files import ROOT
+
+from madviz.plots.figures import Bar, dots
+from madviz.report.designs import DESIGNS, design_tables, finished
+from madviz.report.findings import ALONE, CUBE, LEVELS, LOSSES, PUSH, Finding, judged
+from madviz.report.rows import Difference
+
+FILE = ROOT / "results" / "crossed.csv"
+TASKS = (PUSH, CUBE)
+ALPHAS = ("alpha 0.25", "alpha 0.8")
+NAMES = {
+    "mad, alpha 0.25": "MAD, alpha 0.25",
+    "mad, alpha 0.8": "MAD, alpha 0.8",
+    "singular-only": "Singular Only",
+    "single": "Single Camera",
+    "merged-only": "Merged Only",
+}
+"""The losses, in the order of the picture."""
+
+
+def comparisons(alpha: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """The design's five, by their names: the rows of the first side and of the second."""
+    mad = [f"mad, {alpha}, {level}" for level in LEVELS]
+    merged = [f"merged-only, {level}" for level in LEVELS]
+    turns, all_ = ([f"{loss}, {level}" for loss in LOSSES] for level in LEVELS)
+    return {
+        "the loss: MAD minus Merged Only": (tuple(mad), tuple(merged)),
+        "the episodes: *turns* minus *all*": (tuple(turns), tuple(all_)),
+        "interaction, half of it": ((mad[0], merged[1]), (mad[1], merged[0])),
+        "MAD minus Singular Only, *turns*": ((mad[0],), ("singular-only, turns",)),
+        "MAD minus Single Camera, *turns*": ((mad[0],), ("single, turns",)),
+    }
+
+
+def crossed() -> str:
+    """The design's outcomes; before all of its trainings are there, how many are."""
+    wanted = DESIGNS[FILE.name].trainings
+    found = finished(FILE) if FILE.exists() else 0
+    if found < wanted:
+        return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
+    header = ["on a single camera", *(f"{t.split('/')[1]}, {a}" for t in TASKS for a in ALPHAS)]
+    lines = [
+        [name, *(str(_gap(task, comparisons(alpha)[name])) for task in TASKS for alpha in ALPHAS)]
+        for name in comparisons(ALPHAS[0])
+    ]
+    return table(header, lines)
+
+
+def crossed_figure() -> str:
+    """SVG text: success on a single camera by loss and recorded episodes; '' before the end."""
+    tables = [one for one in design_tables(FILE.parent) if one.layout.key == "crossed"]
+    rows = {(task, row.label): row for one in tables for task, row in one.rows}
+    if not rows:
+        return ""
+    labels = [f"{NAMES[loss]} ({task.split('/')[1]})" for task in TASKS for loss in NAMES]
+    series: dict[str, list[Bar | None]] = {}
+    for level in LEVELS:
+        means = [rows[task, f"{loss}, {level}"].mean(ALONE) for task in TASKS for loss in NAMES]
+        series[level] = [Bar(mean.value, *mean.interval) if mean else None for mean in means]
+    return dots("Success on a single camera, by loss and recorded episodes", labels, series)
+
+
+def _gap(task: str, sides: tuple[tuple[str, ...], tuple[str, ...]]) -> Difference:
+    first, second = (("crossed", side) for side in sides)
+    finding = Finding("", task, first, second, ALONE, "")
+    return judged(design_tables(FILE.parent), [finding])[0].gap
