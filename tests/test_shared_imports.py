@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -14,6 +15,7 @@ from madviz.app.forking import prepare_for, shared_imports
 from madviz.app.server import ExploreConfig, open_app
 from madviz.commands import COMMANDS
 from madviz.envs.registry import SUITES
+from madviz.system.collection import without_collection
 
 
 def test_a_task_names_modules_that_are_there_and_another_none():
@@ -92,3 +94,34 @@ def test_ctrl_c_is_for_the_page_alone():
     """In the fork server it would be a traceback in the middle of an import."""
     done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
     assert (done.stdout.split(), done.stderr) == (["1", "0"], "")
+
+
+def test_imports_are_not_gone_through_for_garbage():
+    with without_collection():
+        assert not gc.isenabled()
+        made = [[] for _ in range(3)]
+    assert gc.isenabled()
+    assert any(one is made[0] for one in gc.get_objects(generation=2)), "it counts as old"
+    gc.disable()
+    try:
+        with without_collection():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+BEGINNING = """
+import gc
+import madviz.session.fork_begin
+assert not gc.isenabled()
+import madviz.session.fork_server
+assert gc.isenabled() and gc.get_freeze_count() > 100_000
+from madviz.system.plugins import load
+load("colorsys:rgb_to_hls")
+assert gc.get_freeze_count() > 100_000, "still shared"
+"""
+
+
+def test_the_fork_server_collects_nothing_until_all_is_imported():
+    subprocess.run([sys.executable, "-c", BEGINNING], check=True)

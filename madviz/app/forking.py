@@ -35,8 +35,9 @@ def prepare(task: str = "") -> None:
     stays as it is."""
     from multiprocessing import forkserver, resource_tracker
 
-    modules = ["madviz.app.session_maker", *shared_imports(task), "madviz.session.fork_server"]
-    get_context("forkserver").set_forkserver_preload(modules)
+    modules = ["madviz.app.session_maker", *shared_imports(task)]
+    ends = ("madviz.session.fork_begin", "madviz.session.fork_server")
+    get_context("forkserver").set_forkserver_preload([ends[0], *modules, ends[1]])
     resource_tracker.ensure_running()  # Here, as it ends the blocking of signals.
     # Ctrl-C is for the page's process, which ends its children; among imports it is a traceback.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -10,12 +10,14 @@ from contextlib import contextmanager
 from typing import Any, get_type_hints
 
 from madviz.errors import UserError
+from madviz.system.collection import without_collection
 
 
 def load(reference: str) -> Any:
     """The object that ``module:name`` names, imported now. Raises ImportError or AttributeError."""
     module, _, name = reference.partition(":")
-    return getattr(importlib.import_module(module), name)
+    with without_collection():
+        return getattr(importlib.import_module(module), name)
 
 
 def made_by(reference: str, protocol: type) -> Any:
