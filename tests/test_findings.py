@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from madviz.errors import UserError
-from madviz.report.designs import design_tables, read_rows
+from madviz.report.designs import design_tables, finished, read_rows
 from madviz.report.findings import HEADER, findings_table, judged, verdict
 from tests.evidence import rates, write_policy
 from tests.reports import every_table, report
@@ -72,6 +72,7 @@ def test_a_training_is_not_compared_with_itself(tmp_path: Path) -> None:
     assert "MAD minus naive-both" not in text
 
 
+SUBSETS = ("all", "first", "third_a", "third_b")
 COLUMNS = "task,episodes,seed,method,alpha,camera,subset,first_seed,at_last_step,at_any_step\n"
 
 
@@ -80,14 +81,14 @@ def write_design(folder: Path, trainings: int) -> None:
     Two other methods always fail."""
     lines = []
     for seed in range(1, trainings + 1):
-        for subset in ("all", "first", "third_a", "third_b"):
+        for subset in SUBSETS:
             lines.append(f"toy/reach,own,{seed},mad,0.8,,{subset},30000,1111111111,1111111111")
             digits = ("1" if subset in ("all", "first") else "0") * 10
             lines.append(f"toy/reach,own,{seed},merged-only,0.8,,{subset},30000,{digits},{digits}")
         alone = "1111111110,1111111111"
         lines.append(f"toy/reach,own,{seed},single,0.8,third_a,all,30000,{alone}")
-        for other in ("singular-only", "naive-both"):
-            lines.append(f"toy/reach,own,{seed},{other},0.8,,all,30000,0000000000,0000000000")
+        for other, subset in itertools.product(("singular-only", "naive-both"), SUBSETS):
+            lines.append(f"toy/reach,own,{seed},{other},0.8,,{subset},30000,0000000000,0000000000")
     (folder / "rewards.csv").write_text(COLUMNS + "\n".join(lines) + "\n")
 
 
@@ -115,12 +116,29 @@ def test_outcomes_at_any_step_are_read_from_their_own_column(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "text", ["task,method\n", COLUMNS.replace("seed,", "") + "toy/reach,own,mad,0.8,,all,1,1,1\n"]
+    ("text", "words"),
+    [
+        ("task,method\n", "the columns task, episodes, "),
+        (COLUMNS + "toy/reach,own\n", "something else in line 2"),
+        (COLUMNS + "toy/reach,own,1,mad,0.8,,all,1,11,1\n", "something else in line 2"),
+        (COLUMNS + "toy/reach,own,1,mad,0.8,,all,1,12,11\n", "something else in line 2"),
+        (COLUMNS + "toy/reach,own,1,mad,0.8,,all,1,1,1,1\n", "something else in line 2"),
+    ],
 )
-def test_a_design_with_other_columns_is_refused_in_a_line(tmp_path: Path, text: str) -> None:
-    (tmp_path / "rewards.csv").write_text(text + "toy/reach,own\n")
-    with pytest.raises(UserError, match=r"rewards.csv: expected a design's columns"):
+def test_a_file_that_is_no_design_is_refused_in_a_line(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    (tmp_path / "rewards.csv").write_text(text)
+    with pytest.raises(UserError, match=f"rewards.csv: expected .*{words}"):
         design_tables(tmp_path)
+
+
+def test_a_training_without_one_of_its_subsets_is_not_finished(tmp_path: Path) -> None:
+    write_design(tmp_path, 5)
+    file = tmp_path / "rewards.csv"
+    assert finished(file) == 25
+    file.write_text("".join(line for line in file.open() if ",5,mad,0.8,,third_b" not in line))
+    assert finished(file) == 24 and judged(design_tables(tmp_path)) == []
 
 
 def crossed_lines() -> list[str]:
@@ -134,7 +152,7 @@ def crossed_lines() -> list[str]:
         ("metaworld/push", "maniskill/push-cube"), (1, 2, 3), ("turns", "all"), kinds
     ):
         outcomes = "111" if level == "turns" else "110" if method == "mad" else "000"
-        for subset in ["all"] if camera else ["all", "first", "third_a", "third_b"]:
+        for subset in ["all"] if camera else SUBSETS:
             first = f"{task},{level},{seed},{method},{alpha},{camera},{subset},30000"
             lines.append(f"{first},{outcomes},{outcomes}\n")
     return lines
@@ -147,7 +165,7 @@ def test_loss_and_episodes_are_told_apart(tmp_path: Path) -> None:
     gaps = {one.finding.claim.split(", ")[-1]: one.gap.value for one in found}
     assert len(found) == 6 and len({one.finding.task for one in found}) == 2
     assert gaps["alpha 0.25"] == gaps["alpha 0.8"] == pytest.approx((0 + 2 / 3) / 2)
-    assert gaps["where episodes were recorded"] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
+    assert gaps["where its episodes were recorded"] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
     assert {one.measured for one in found} >= {
         "imitation, push, 3 trainings, n = 9, development (read)"
     }
@@ -166,5 +184,5 @@ def test_the_five_comparisons_of_the_design(
     (tmp_path / "crossed.csv").write_text(COLUMNS + "".join(crossed_lines()))
     rows = [line.split("|") for line in tool.crossed().splitlines()[2:]]
     points = [int(row[2].split()[0]) for row in rows]
-    assert points == [33, 67, -33, 0, 0], "loss, episodes, half the interaction, two at turns"
+    assert points == [33, 67, -67, 0, 0], "loss, episodes, interaction, two at turns"
     assert tool.crossed_figure().count('class="dot"') == 20

@@ -33,7 +33,7 @@ AUDITS = {
         f"--policy maniskill-push-cube-mad-paper-vectorised {OURS}"
     ),
     "lerobot-act-plain": f"--policy ws://127.0.0.1:8001 {OURS} --episodes 50",
-    "lerobot-act-view-dropout": f"--policy ws://127.0.0.1:8001 {OURS} --episodes 50",
+    "lerobot-act-view-dropout": f"--policy ws://127.0.0.1:8002 {OURS} --episodes 50",
     "sb3-ppo-reach": "--policy sb3:ppo-reach.zip@toy/reach --trust --how mean black",
 }
 """By the name of its file, the options of an audit."""
@@ -48,9 +48,8 @@ def audits() -> str:
     """A row each: the verdict of every camera, success without it against all cameras, a link."""
     rows = []
     for name in AUDITS:
-        found = read(f"audits/{name}")
-        n = found["intact"]["n"]
-        intact = SuccessRate.of(round(found["intact"]["success"] * n), n)
+        found = _document(name)
+        intact = SuccessRate.read(found["intact"])
         cells = [
             f"{verdict}, {change(deciding(found, camera, 'removed'))}"
             for camera, verdict in found["verdict"].items()

@@ -3,6 +3,9 @@ results/designs.md fixes them, from results/crossed.csv (``python tools/designs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from measurements import table
 from policy_files import ROOT
 
@@ -10,6 +13,7 @@ from madviz.plots.figures import Bar, dots
 from madviz.report.designs import DESIGNS, design_tables, finished
 from madviz.report.findings import ALONE, CUBE, LEVELS, LOSSES, PUSH, Finding, judged
 from madviz.report.rows import Difference
+from madviz.report.tables import ResultTable
 
 FILE = ROOT / "results" / "crossed.csv"
 TASKS = (PUSH, CUBE)
@@ -22,6 +26,7 @@ NAMES = {
     "merged-only": "Merged Only",
 }
 """The losses, in the order of the picture."""
+INTERACTION = "what *turns* adds to MAD minus what it adds to Merged Only"
 
 
 def comparisons(alpha: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
@@ -31,8 +36,8 @@ def comparisons(alpha: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]
     turns, all_ = ([f"{loss}, {level}" for loss in LOSSES] for level in LEVELS)
     return {
         "the loss: MAD minus Merged Only": (tuple(mad), tuple(merged)),
-        "the episodes: *turns* minus *all*": (tuple(turns), tuple(all_)),
-        "interaction, half of it": ((mad[0], merged[1]), (mad[1], merged[0])),
+        "the episodes: *turns* minus *all* (for all losses)": (tuple(turns), tuple(all_)),
+        INTERACTION: ((mad[0], merged[1]), (mad[1], merged[0])),
         "MAD minus Singular Only, *turns*": ((mad[0],), ("singular-only, turns",)),
         "MAD minus Single Camera, *turns*": ((mad[0],), ("single, turns",)),
     }
@@ -44,11 +49,14 @@ def crossed() -> str:
     found = finished(FILE) if FILE.exists() else 0
     if found < wanted:
         return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
-    header = ["on a single camera", *(f"{t.split('/')[1]}, {a}" for t in TASKS for a in ALPHAS)]
-    lines = [
-        [name, *(str(_gap(task, comparisons(alpha)[name])) for task in TASKS for alpha in ALPHAS)]
-        for name in comparisons(ALPHAS[0])
-    ]
+    places = [(task, alpha) for task in TASKS for alpha in ALPHAS]
+    header = ["on a single camera", *(f"{task.split('/')[1]}, {alpha}" for task, alpha in places)]
+    tables = design_tables(FILE.parent)
+    lines = []
+    for name in comparisons(ALPHAS[0]):
+        sides = [(task, *comparisons(alpha)[name]) for task, alpha in places]
+        gaps = [_gap(tables, *each, doubled=name == INTERACTION) for each in sides]
+        lines.append([name, *map(str, gaps)])
     return table(header, lines)
 
 
@@ -66,7 +74,17 @@ def crossed_figure() -> str:
     return dots("Success on a single camera, by loss and recorded episodes", labels, series)
 
 
-def _gap(task: str, sides: tuple[tuple[str, ...], tuple[str, ...]]) -> Difference:
-    first, second = (("crossed", side) for side in sides)
-    finding = Finding("", task, first, second, ALONE, "")
-    return judged(design_tables(FILE.parent), [finding])[0].gap
+def _gap(
+    tables: Sequence[ResultTable],
+    task: str,
+    first: tuple[str, ...],
+    second: tuple[str, ...],
+    doubled: bool,
+) -> Difference:
+    """The difference of the sides' means; ``doubled`` where a side is a sum of two rows."""
+    places = (("crossed", side) for side in (first, second))
+    gap = judged(tables, [Finding("", task, *places, ALONE, "")])[0].gap
+    if not doubled:
+        return gap
+    low, high = gap.interval
+    return replace(gap, value=2 * gap.value, interval=(2 * low, 2 * high))

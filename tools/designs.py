@@ -3,11 +3,11 @@
     python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
     python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
 
-With a task as the last word it makes this one's runs alone, so that two of them can run at once.
-Each evaluated training becomes rows of results/NAME.csv at once, so a command that was stopped goes
-on where it was. In *crossed*, for each task, training seed and level of episodes, one MAD run
-records, and every loss learns from its episodes. A set of them, 0.7 GB, is removed after its last
-training.
+With a task as the last word it makes this one's runs alone. Each evaluated training becomes rows of
+results/NAME.csv at once, so a command that was stopped goes on where it was. In *crossed*, for each
+task, training seed and level of episodes, one MAD run records, and every loss learns from its
+episodes. Their folder, with weights and 0.7 GB of episodes, is removed after the last training; the
+CSV is all that stays.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def crossed(out: Path, tasks: Sequence[str] = TASKS) -> None:
         left = [loss for loss in LOSSES if (task, level, seed, *loss) not in done(table)]
         for loss in left:
             recorded = folder / RECORDS.name
-            if loss != RECORDS and not (recorded / "episodes").is_dir():
+            if loss != RECORDS and not (recorded / "resume" / "finished").exists():
                 _train(recorded, task, seed, RECORDS, _imitation(RECORDS, _recording(level)))
             options = _recording(level) if loss == RECORDS else ["--light.episodes", str(recorded)]
             _train(folder / loss.name, task, seed, loss, _imitation(loss, options))

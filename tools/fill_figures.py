@@ -70,7 +70,7 @@ def findings() -> str:
 
 
 def headlines() -> str:
-    """Three of the findings, a sentence each; the counts of verdicts; and what the guard does."""
+    """A sentence for each finding that is a headline, the counts of verdicts, and the guard."""
     found = judged(every_table())
     counts = Counter(one.verdict for one in found)
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())

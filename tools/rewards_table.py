@@ -4,7 +4,7 @@ from results/rewards.csv (``python tools/designs.py rewards``)."""
 from __future__ import annotations
 
 from measurements import table
-from policy_files import ROOT
+from policy_files import LABELS, ROOT
 
 from madviz.report.designs import DESIGNS, finished, read_rows
 from madviz.report.findings import verdict
@@ -23,22 +23,23 @@ NAMES = {
 def rewards() -> str:
     """The design's outcomes; before all of its trainings are there, how many are."""
     file = ROOT / "results" / "rewards.csv"
+    wanted = DESIGNS[file.name].trainings
+    if (found := finished(file)) < wanted:
+        return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
     last, ever = (
         {row.label: row for _, row in read_rows(file, outcome)}
         for outcome in ("at_last_step", "at_any_step")
     )
-    wanted = DESIGNS[file.name].trainings
-    if (found := finished(file)) < wanted:
-        return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
     lines = [
         [
             name,
-            *(last[method].rate(column) for column in ("all", "third_a")),
+            *(last[method].rate(column) for column in THREE),
             *(rows[method].mean(THREE) for rows in (last, ever)),
         ]
         for method, name in NAMES.items()
     ]
-    header = ["method", "all", "Third A alone", "mean of all and singles", "the same, at any step"]
+    alone = [f"{label} alone" for label in LABELS.values()]
+    header = ["method", "all cameras", *alone, "mean of these", "the same, at any step"]
     text = table(header, [[cell or "–" for cell in line] for line in lines])
     return f"{text}\n{''.join(f'- {line}' for line in sentences(last, ever))}"
 
@@ -49,7 +50,7 @@ def sentences(last: dict[str, Row], ever: dict[str, Row]) -> list[str]:
     for method, name in list(NAMES.items())[1:]:
         columns = ("third_a",) if method == "single" else THREE
         gap, anytime = (difference(rows["mad"], rows[method], columns) for rows in (last, ever))
-        assert gap is not None, "both have all seeds"
+        assert gap and anytime, "both have all seeds"
         word = verdict("ahead", gap.interval, True, len(gap.trainings))
         where = "on Third A" if method == "single" else "mean of all and single cameras"
         said.append(

@@ -1,11 +1,12 @@
 """Tables from trainings of which only the outcomes are kept: a CSV file for each design.
 
-A line is one subset of one training, with a digit for each of its episodes, 1 for a success:
+A line is one subset of one training, with a digit for each evaluated episode, 1 for a success:
 
     task, episodes, seed, method, alpha, camera, subset, first_seed, at_last_step, at_any_step
 
-*episodes* is what was learned from, and *seed* that of the training. ``camera`` is that of Single
-Camera, whose *all* is this camera. Nothing is said of a design before all its trainings are there.
+*episodes* is the recorded set that was learned from, and *seed* that of the training. ``camera`` is
+that of Single Camera, whose *all* is this camera; the other methods have all cameras and each one
+alone. Nothing is said of a design before all its trainings are there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ Line = Mapping[str, str]
 Outcome = Literal["at_last_step", "at_any_step"]
 TRAINING = ("task", "episodes", "seed", "method", "alpha", "camera")
 """One training differs from another in one of these."""
+COLUMNS = [*TRAINING, "subset", "first_seed", "at_last_step", "at_any_step"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def design_tables(folder: Path) -> list[ResultTable]:
     tables = []
     for name, design in DESIGNS.items():
         file = folder / name
-        if file.is_file() and finished(file) == design.trainings:
+        if file.is_file() and finished(file) >= design.trainings:
             rows = read_rows(file, "at_last_step")
             for suite in sorted({task.split("/")[0] for task, _ in rows}):
                 mine = tuple(pair for pair in rows if pair[0].startswith(f"{suite}/"))
@@ -72,8 +74,13 @@ def design_tables(folder: Path) -> list[ResultTable]:
 
 
 def finished(file: Path) -> int:
-    """How many trainings have outcomes in ``file``. Raises UserError."""
-    return len({tuple(line[word] for word in TRAINING) for line in _lines(file)})
+    """How many trainings have all their outcomes in ``file``. Raises UserError."""
+    subsets: dict[tuple[str, ...], set[str]] = {}
+    for line in _lines(file):
+        training = tuple(line[word] for word in TRAINING)
+        subsets.setdefault(training, set()).add(line["subset"])
+    wanted = ({*THREE}, {"all"})  # Without a camera of its own, and with one.
+    return sum(found == wanted[bool(training[-1])] for training, found in subsets.items())
 
 
 def read_rows(file: Path, outcome: Outcome) -> list[tuple[str, Row]]:
@@ -92,17 +99,23 @@ def read_rows(file: Path, outcome: Outcome) -> list[tuple[str, Row]]:
 
 def _lines(file: Path) -> list[dict[str, str]]:
     with file.open(newline="") as text:
-        lines = list(csv.DictReader(text))
-    wanted = {*TRAINING, "subset", "first_seed", "at_last_step", "at_any_step"}
+        reader = csv.DictReader(text)
+        lines = list(reader)
+    if reader.fieldnames != COLUMNS:
+        raise UserError(
+            f"{file}: expected the columns {', '.join(COLUMNS)}, found {reader.fieldnames}"
+        )
     for number, line in enumerate(lines, 2):
-        if set(line) != wanted or None in line.values() or not _readable(line):
+        if None in line or None in line.values() or not _readable(line):
             raise UserError(
-                f"{file}: expected a design's columns, and 0 or 1 for each episode, found other "
-                f"ones in line {number}"
+                f"{file}: expected seeds, and 0 or 1 for each episode, found something else in "
+                f"line {number}"
             )
     return lines
 
 
 def _readable(line: Line) -> bool:
-    digits = line["at_last_step"] + line["at_any_step"]
-    return line["seed"].isdecimal() and line["first_seed"].isdecimal() and set(digits) <= {*"01"}
+    last = line["at_last_step"]
+    ever = line["at_any_step"]
+    seeds = line["seed"] + line["first_seed"]
+    return seeds.isdecimal() and len(last) == len(ever) > 0 and {*last, *ever} <= {*"01"}

@@ -37,9 +37,9 @@ from madviz.report.threshold import (
 from madviz.system.markdown import markdown_table
 
 FINDINGS_WORDS = (
-    "Claims, from small budgets on two tasks. *Shown in part*: the interval shows it here; the "
-    "paper's sentences are about reinforcement learning. With one training, intervals are over "
-    "episodes only, and other trainings scatter more."
+    "Claims, from small budgets on two robot tasks and a toy. *Shown here*: the interval shows it, "
+    "in three trainings by rewards or more, as in the paper. *Shown in part*: in others. "
+    "With one training, intervals are over episodes only, and others scatter more."
 )
 CAPTIONS = {
     pictures.TWENTY: f"MAD on twenty tasks. The dashed line is at {WEAK:.2f}.",

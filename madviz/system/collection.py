@@ -1,6 +1,6 @@
 """Garbage collection, which waits while modules are imported.
 
-torch and what it needs are half a million objects that stay. Python goes through all of them again
+torch and what it needs are 400,000 objects that stay. Python goes through all of them again
 and again while they are made, to find some that may go: a fifth of the time of these imports, 0.4
 s on two cores. So collection is off meanwhile. Afterwards they count as old, without being gone
 through.
