@@ -6,6 +6,7 @@ import gc
 import subprocess
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +16,7 @@ from madviz.app.forking import prepare_for, shared_imports
 from madviz.app.server import ExploreConfig, open_app
 from madviz.commands import COMMANDS
 from madviz.envs.registry import SUITES
-from madviz.system.collection import without_collection
+from madviz.system.collection import imported
 
 
 def test_a_task_names_modules_that_are_there_and_another_none():
@@ -96,17 +97,24 @@ def test_ctrl_c_is_for_the_page_alone():
     assert (done.stdout.split(), done.stderr) == (["1", "0"], "")
 
 
-def test_imports_are_not_gone_through_for_garbage():
-    with without_collection():
-        assert not gc.isenabled()
-        made = [[] for _ in range(3)]
+def test_modules_are_imported_without_looking_for_garbage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = "import gc\nmade = [[] for _ in range(3)]\non = gc.isenabled()\n"
+    for name in ("first_imported", "second_imported"):
+        (tmp_path / f"{name}.py").write_text(module)
+    first = imported("first_imported")
+    assert not first.on and gc.isenabled()
+    assert any(one is first.made[0] for one in gc.get_objects(generation=2)), "it counts as old"
+    assert imported("first_imported") is first
+    (tmp_path / "broken_imported.py").write_text("raise OSError")
+    with pytest.raises(OSError):
+        imported("broken_imported")
     assert gc.isenabled()
-    assert any(one is made[0] for one in gc.get_objects(generation=2)), "it counts as old"
     gc.disable()
     try:
-        with without_collection():
-            pass
-        assert not gc.isenabled()
+        assert not imported("second_imported").on and not gc.isenabled(), "as it was"
     finally:
         gc.enable()
 

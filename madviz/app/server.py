@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import time
 import warnings
@@ -199,6 +200,7 @@ def explore(config: ExploreConfig | None = None) -> None:
         allow_task(config.task)
         check_task(config.task)
     check_port(config.host, config.port)
+    gc.freeze()  # What is imported stays: no visitor waits while it is gone through for garbage.
     app = open_app(config)
     try:
         with telling():

@@ -46,7 +46,7 @@ from madviz.policies.no_policy import NoPolicy, is_no_policy
 from madviz.policies.sb3 import is_sb3, load_sb3, shown_sb3
 from madviz.recorded.known import is_recording
 from madviz.recorded.robot import Robot, read_robot
-from madviz.system.collection import without_collection
+from madviz.system.collection import imported
 from madviz.system.files import read_json, write_bytes, write_json
 from madviz.system.options import Listed
 from madviz.system.plugins import made_by
@@ -204,8 +204,8 @@ def load_policy(policy: str | Path) -> Policy:
     config, text = read_config(path / CONFIG)
     weights = _existing(path / WEIGHTS).read_bytes()
 
-    with without_collection():
-        from madviz.agent.agent import TorchPolicy
+    imported("madviz.agent.agent")  # With torch.
+    from madviz.agent.agent import TorchPolicy
 
     if config.merge not in MERGES:
         raise UserError(f"{path / CONFIG}: unknown merge {config.merge!r}; known: {list(MERGES)}")

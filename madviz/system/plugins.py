@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Iterator
@@ -10,14 +9,13 @@ from contextlib import contextmanager
 from typing import Any, get_type_hints
 
 from madviz.errors import UserError
-from madviz.system.collection import without_collection
+from madviz.system.collection import imported
 
 
 def load(reference: str) -> Any:
     """The object that ``module:name`` names, imported now. Raises ImportError or AttributeError."""
     module, _, name = reference.partition(":")
-    with without_collection():
-        return getattr(importlib.import_module(module), name)
+    return getattr(imported(module), name)
 
 
 def made_by(reference: str, protocol: type) -> Any:
