@@ -45,18 +45,25 @@ def command(name: str) -> str:
 
 
 def audits() -> str:
-    """A row each: the verdict of every camera, success without it against all cameras, a link."""
+    """A row each, with a link: the verdict of every camera, success without it against all cameras,
+    and success with it black."""
     rows = []
     for name in AUDITS:
         found = _document(name)
         intact = SuccessRate.read(found["intact"])
         cells = [
-            f"{verdict}, {change(deciding(found, camera, 'removed'))}"
+            f"{verdict}, {change(deciding(found, camera, 'removed'))}; {_black(found, camera)}"
             for camera, verdict in found["verdict"].items()
         ]
         link = f"[{found['policy']}](audits/{name}.html), {found['task']}"
         rows.append((link, intact, *cells))
     return table(("policy, task", "all cameras", *(LABELS[camera] for camera in SINGLES)), rows)
+
+
+def _black(found: Any, camera: str) -> str:
+    where = {"camera": camera, "what": "removed", "how": "black"}
+    rows = (row for row in found["conditions"] if where.items() <= row.items())
+    return "".join(f"black {row['success']:.2f}" for row in rows)
 
 
 def sentences(name: str) -> str:
