@@ -1,8 +1,8 @@
 """How long people wait: visitors of the page, students at their first cell, researchers at the
 command line.
 
-Each wait is measured from outside, and stands beside its floor: what no code of ours avoids, a
-Python that imports torch and the simulator and ends. With ``--before`` another checkout of madviz
+Each wait is measured from outside, and stands beside its floor: a Python that imports torch and the
+simulator as any program does, and ends. With ``--before`` another checkout of madviz
 takes turns, so ratios are of one run. For a suite, a visitor without a browser opens the page
 (``soak/visitor.py``):
 

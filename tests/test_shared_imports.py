@@ -125,11 +125,27 @@ import madviz.session.fork_begin
 assert not gc.isenabled()
 import madviz.session.fork_server
 assert gc.isenabled() and gc.get_freeze_count() > 100_000
-from madviz.system.plugins import load
-load("colorsys:rgb_to_hls")
-assert gc.get_freeze_count() > 100_000, "still shared"
+"""
+CHILD = """
+import gc
+from multiprocessing import get_context
+
+def live(pipe):
+    gc.freeze()
+    from madviz.system.plugins import load
+    load("colorsys:rgb_to_hls")
+    pipe.send(gc.get_freeze_count())
+
+if __name__ == "__main__":
+    here, there = get_context("fork").Pipe()
+    get_context("fork").Process(target=live, args=(there,)).start()
+    assert here.recv() > 5_000, "still shared"
 """
 
 
 def test_the_fork_server_collects_nothing_until_all_is_imported():
     subprocess.run([sys.executable, "-c", BEGINNING], check=True)
+
+
+def test_what_a_forked_process_shares_stays_frozen():
+    subprocess.run([sys.executable, "-c", CHILD], check=True)

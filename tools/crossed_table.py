@@ -49,13 +49,19 @@ def crossed() -> str:
     found = finished(FILE) if FILE.exists() else 0
     if found < wanted:
         return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
+    alone = _compared("on a single camera", ALONE, list(comparisons(ALPHAS[0])))
+    together = _compared("with all cameras", ("all",), list(comparisons(ALPHAS[0]))[:-1])
+    return f"{alone}\n{together}"
+
+
+def _compared(title: str, columns: tuple[str, ...], names: Sequence[str]) -> str:
+    """The comparisons ``names`` on the mean of ``columns``."""
     places = [(task, alpha) for task in TASKS for alpha in ALPHAS]
-    header = ["on a single camera", *(f"{task.split('/')[1]}, {alpha}" for task, alpha in places)]
+    header = [title, *(f"{task.split('/')[1]}, {alpha}" for task, alpha in places)]
     tables = design_tables(FILE.parent)
     lines = []
-    for name in comparisons(ALPHAS[0]):
-        sides = [(task, *comparisons(alpha)[name]) for task, alpha in places]
-        gaps = [_gap(tables, *each, doubled=name == INTERACTION) for each in sides]
+    for name in names:
+        gaps = [_gap(tables, task, columns, name, alpha) for task, alpha in places]
         lines.append([name, *map(str, gaps)])
     return table(header, lines)
 
@@ -75,16 +81,12 @@ def crossed_figure() -> str:
 
 
 def _gap(
-    tables: Sequence[ResultTable],
-    task: str,
-    first: tuple[str, ...],
-    second: tuple[str, ...],
-    doubled: bool,
+    tables: Sequence[ResultTable], task: str, columns: tuple[str, ...], name: str, alpha: str
 ) -> Difference:
-    """The difference of the sides' means; ``doubled`` where a side is a sum of two rows."""
-    places = (("crossed", side) for side in (first, second))
-    gap = judged(tables, [Finding("", task, *places, ALONE, "")])[0].gap
-    if not doubled:
+    """The difference of the sides' means. A side of the interaction is a sum: that is twice it."""
+    first, second = (("crossed", side) for side in comparisons(alpha)[name])
+    gap = judged(tables, [Finding("", task, first, second, columns, "")])[0].gap
+    if name != INTERACTION:
         return gap
     low, high = gap.interval
     return replace(gap, value=2 * gap.value, interval=(2 * low, 2 * high))

@@ -157,7 +157,7 @@ WITHOUT_IMPORTS = ("task_switch_s", "one_more_s", "one_more_mb", "help_s", "list
 
 
 def waits() -> str:
-    """Results of `benchmarks waits`, for each suite: now, before, and what nothing avoids."""
+    """Results of `benchmarks waits`, for each suite: now, before, and plain imports."""
     rows = []
     for suite, begin in WAITS.items():
         result = read(f"archive/bench/waits-{suite}")

@@ -201,6 +201,13 @@ def explore(config: ExploreConfig | None = None) -> None:
         check_task(config.task)
     check_port(config.host, config.port)
     gc.freeze()  # What is imported stays: no visitor waits while it is gone through for garbage.
+    try:
+        _serve(config)
+    finally:
+        gc.unfreeze()
+
+
+def _serve(config: ExploreConfig) -> None:
     app = open_app(config)
     try:
         with telling():

@@ -117,5 +117,5 @@ def _lines(file: Path) -> list[dict[str, str]]:
 def _readable(line: Line) -> bool:
     last = line["at_last_step"]
     ever = line["at_any_step"]
-    seeds = line["seed"] + line["first_seed"]
-    return seeds.isdecimal() and len(last) == len(ever) > 0 and {*last, *ever} <= {*"01"}
+    seeds = line["seed"].isdecimal() and line["first_seed"].isdecimal()
+    return seeds and len(last) == len(ever) > 0 and {*last, *ever} <= {*"01"}

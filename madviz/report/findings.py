@@ -168,13 +168,12 @@ FINDINGS = (
         headline=True,
     ),
     Finding(
-        "Trained by rewards, MAD on Third A succeeds as often as a policy of Third A only",
+        "Trained by rewards, MAD on Third A succeeds more often than a policy of Third A only",
         REACH,
         ("rewards", "mad"),
         ("rewards", "single"),
         ("third_a",),
         "MAD is ahead",
-        "alike",
     ),
     Finding(
         "With two cameras turned away, MAD succeeds as often as the third's own policy, alpha 0.25",

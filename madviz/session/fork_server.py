@@ -5,7 +5,7 @@ torch and its simulator import late: two seconds and 360 MB that each would have
 simulator is among it, as OpenGL does not survive a fork; ``app/forking.py`` says what of one does
 and has it imported before this. Garbage collection leaves the objects of before the fork
 alone from then on: going through them writes into each, and memory that was written to is not
-shared any more (64 MB). There is none to find before: that would take 0.2 s, and give back 2 MB.
+shared any more (64 MB). What garbage there is then, 2 MB, stays: finding it would take 0.2 s.
 """
 
 import gc
