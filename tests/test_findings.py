@@ -99,9 +99,9 @@ def test_a_design_has_rows_of_the_front_page_once_it_is_complete(tmp_path: Path)
     merged, single = judged(design_tables(tmp_path))
     assert (merged.gap.value, merged.verdict) == (0.5, "shown here")
     assert merged.measured == (
-        "reinforcement learning, toy/reach (no robot), 5 trainings, n = 50, development (read)"
+        "reinforcement learning, toy/reach, no robot, 5 trainings, n = 50, development (read)"
     )
-    assert merged.sentence.endswith("**shown here**, +50 points on toy/reach (no robot).")
+    assert merged.sentence.endswith("**shown here**, +50 points on toy/reach, no robot.")
     assert single.gap.value == pytest.approx(0.1), "of the one camera that both have"
     write_policy(tmp_path, rates(0.9, 0.9, 0.9, 0.9))
     assert merged.measured in report(tmp_path)[1]

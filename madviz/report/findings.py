@@ -63,7 +63,7 @@ class Finding:
     def place(self) -> str:
         """The task's name; the toy's says that it is no robot."""
         suite, name = self.task.split("/")
-        return f"{suite}/{name} (no robot)" if suite == "toy" else name
+        return f"{suite}/{name}, no robot" if suite == "toy" else name
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ FINDINGS = (
         "alike",
     ),
     Finding(
-        "Trained by rewards, MAD succeeds more often than Merged Only, on the mean of all cameras "
-        "and each alone",
+        "Trained by rewards, MAD succeeds more often than Merged Only, over all cameras and each "
+        "alone",
         REACH,
         ("rewards", "mad"),
         ("rewards", "merged-only"),
