@@ -19,7 +19,8 @@ from madviz.errors import UserError
 from madviz.measure.audit.audit import AuditConfig, run_audit
 from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.episodes import Job, Runner
-from madviz.measure.pairs import EpisodePair, explore_command, pair_blocks, parting, played, show
+from madviz.measure.pairs import KEPT, EpisodePair, explore_command, pair_blocks, parting, show
+from madviz.measure.watched import carry_out, kept, watched
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
@@ -48,15 +49,15 @@ def test_actions_part_where_they_stay_apart_for_three_steps():
 
 def test_an_episode_is_played_again_with_the_pictures_that_the_policy_got():
     runner = runner_of(Looker())
-    whole, broken = played(job(ALL), runner), played(job(ALONE), runner)
+    whole, broken = (watched(job(one), runner)[0] for one in (ALL, ALONE))
     assert whole.success and not broken.success
     assert whole.pictures[0].shape == (168, 2 * 168 + 4, 3)
     assert np.array_equal(whole.pictures[0][:, :168], broken.pictures[0][:, :168])
     dimmed, seen = (one.pictures[0][:, -168:].astype(float) for one in (broken, whole))
     assert np.abs(dimmed - 0.3 * seen).max() <= 2
-    black = played(job(Condition("all", (("third_b", Occlusion("black")),))), runner)
+    black, _ = watched(job(Condition("all", (("third_b", Occlusion("black")),))), runner)
     assert not black.pictures[0][:, -168:].any()
-    again = played(job(ALL), runner)
+    again, _ = watched(job(ALL), runner)
     assert np.array_equal(again.actions, whole.actions)
 
 
@@ -85,7 +86,7 @@ def test_a_pair_says_when_the_actions_part_and_has_a_film_of_both(tmp_path):
 def test_pairs_that_come_out_otherwise_are_left_out_and_counted():
     pair = EpisodePair(job(ALL), job(ALONE), LABELS, (True, True))
     blocks = pair_blocks([pair], runner_of(Looker()))
-    assert "1 of 1 pairs came out otherwise" in blocks[-1].lines[0]
+    assert "1 of 1 pairs are not shown" in blocks[-1].lines[0]
 
 
 def test_an_audit_keeps_the_seeds_that_turned_and_its_page_shows_pairs(tmp_path):
@@ -104,6 +105,61 @@ def test_an_audit_keeps_the_seeds_that_turned_and_its_page_shows_pairs(tmp_path)
     run_audit(config)
     assert (tmp_path / "audit.html").read_bytes() == page
     assert "Their actions part at step" in (tmp_path / "audit.md").read_text()
+
+
+class Dreamer(Looker):
+    """Never gives the same answer twice."""
+
+    def __init__(self):
+        super().__init__("dreamer")
+        self._rng = np.random.default_rng()
+
+    def read(self, encoded, masks):
+        found = super().read(encoded, masks)
+        drawn = 0.2 * self._rng.standard_normal(found.action.shape).astype(np.float32)
+        return replace(found, action=np.clip(found.action + drawn, -1, 1))
+
+
+def make_dreamer():
+    return Dreamer()
+
+
+def test_episodes_are_kept_of_a_policy_that_does_not_repeat_itself(tmp_path):
+    config = AuditConfig(
+        "tests.test_pairs:make_dreamer", tmp_path, episodes=2, how=("dropped",), workers=0, pairs=2
+    )
+    run_audit(config)
+    page = (tmp_path / "audit.html").read_bytes()
+    assert page.count(b"<video") == 2 and KEPT.encode() in page and b"pairs are not" not in page
+    assert b"Where dreamer looks" not in page, "a map of random answers says nothing"
+    run_audit(config)
+    assert (tmp_path / "audit.html").read_bytes() == page, "none was played again"
+    for file in (tmp_path / "kept").iterdir():
+        file.write_bytes(file.read_bytes()[:99])
+    run_audit(config)
+    assert "2 of 2 pairs are not shown" in (tmp_path / "audit.html").read_text()
+
+
+def test_a_kept_episode_is_the_one_that_was_played(tmp_path):
+    runner = Runner()
+    runner.adopt("p", Dreamer())
+    asked = replace(job(ALL), digest="dreamer", kept=str(tmp_path))
+    result, _ = carry_out(asked, runner)
+    found = kept(asked)
+    assert found and found.success == result.success and found.looks == []
+    assert len(found.pictures) == len(found.actions) and found.pictures[0].shape == (168, 340, 3)
+    assert not np.array_equal(found.actions[0], watched(asked, runner)[0].actions[0])
+    assert kept(replace(asked, seed=1)) is None, "another episode was not kept"
+
+
+def test_compare_keeps_the_episodes_of_such_a_policy(tmp_path):
+    page = tmp_path / "pairs.html"
+    words = ["compare", "tests.test_pairs:make_dreamer", "--conditions", "all", "third_b=black"]
+    words += ["--episodes", "1", "--workers", "0", "--page", str(page), "--json", "-"]
+    assert cli.main(words) == 0
+    text = page.read_text()
+    assert text.count("<video") == 1 and KEPT in text
+    assert [one.name for one in tmp_path.iterdir()] == ["pairs.html"]
 
 
 def test_compare_shows_the_same_page(tmp_path):

@@ -24,9 +24,9 @@ SIDE = 168
 def places_html(
     looks: Sequence[tuple[Array, Array]], step: int | None, job: Job, runner: Runner
 ) -> str:
-    """The maps of the first episode at ``step``, where the actions part; '' where they do not. The
-    control's frame is half an episode away."""
-    if step is None:
+    """The maps of the first episode at ``step``, where the actions part; '' where they do not, and
+    where no ``looks`` were kept. The control's frame is half an episode away."""
+    if step is None or not looks:
         return ""
     env, policy = runner.opened(job)
     streams = policy.spec.streams

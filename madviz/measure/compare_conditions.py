@@ -10,10 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypedDict
 
 from madviz.errors import UserError
 from madviz.guard.policy import guard_note
+from madviz.measure.audit.audited_policy import repeats_itself
 from madviz.measure.episodes import clipped_words, unsupported
 from madviz.measure.pairs import MOST, in_turns, turned, write_page
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
@@ -67,8 +69,8 @@ def compare_conditions(
     page: Path | None = None,
 ) -> ConditionsFile:
     """Plays ``policy`` under every condition; ``page`` gets the episodes that turned. Raises
-    UserError for a condition that is none, or
-    that the policy cannot act under, before anything is played."""
+    UserError for a condition that is none, or that the policy cannot act under, before anything is
+    played."""
     if len(words) < 2 or len(set(words)) < len(words):
         raise UserError(f"expected two or more conditions, each once, found {' '.join(words)!r}")
     seeds = seeds_of_run(seed, episodes)
@@ -80,34 +82,47 @@ def compare_conditions(
         mask = condition.mask(streams)
         if not loaded.supports(mask):
             raise unsupported(loaded.spec, mask)
-    table.play([(c, s) for c in played.values() for s in seeds], workers, progress=True)
+    with TemporaryDirectory(prefix="madviz-") as folder:
+        if page is not None and not repeats_itself(policy, loaded):
+            table.kept = folder
+        table.play([(c, s) for c in played.values() for s in seeds], workers, progress=True)
+        found = _document(table, seed, asked, played, guard_note(loaded))
+        if page is not None:
+            _show(page, found, table, played)
+    return found
+
+
+def _document(
+    table: Table,
+    seed: int,
+    asked: Mapping[str, Condition],
+    played: Mapping[str, Condition],
+    guard: str,
+) -> ConditionsFile:
     outcomes = {word: table.outcomes(condition) for word, condition in played.items()}
     rows: dict[str, PlayedCondition] = {}
-    for word in words:
+    for word in asked:
         rows[word] = {
             "subset": played[word].subset,
             "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
             "outside": table.outside([played[word]]),
             **SuccessRate.counted(outcomes[word].values()).row(),
         }
-    first = words[0]
-    found: ConditionsFile = {
+    first, *others = asked
+    return {
         "schema": 1,
-        "policy": loaded.spec.name,
-        "task": loaded.spec.task,
+        "policy": table.spec.name,
+        "task": table.spec.task,
         "definition": table.definition,
         "seed": seed,
         "conditions": rows,
-        "guard": guard_note(loaded),
+        "guard": guard,
         "comparisons": [
             {"first": first, "second": word, **pair(outcomes[first], outcomes[word]).row()}
-            for word in words[1:]
+            for word in others
         ],
         "broken": [],
     }
-    if page is not None:
-        _show(page, found, table, played)
-    return found
 
 
 def _show(page: Path, found: ConditionsFile, table: Table, played: Mapping[str, Condition]) -> None:

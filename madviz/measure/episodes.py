@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from madviz.envs.registry import make_env
@@ -58,6 +58,8 @@ class Job:
     reloads."""
     condition: Condition
     seed: int
+    kept: str = field(default="", compare=False)
+    """A folder for what the episode looked like; '' keeps nothing (``watched.py``)."""
 
 
 def unsupported(spec: PolicySpec, mask: Array) -> UserError:

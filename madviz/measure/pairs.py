@@ -1,8 +1,9 @@
 """Show me: an episode that turned, beside the one that it is compared with.
 
 A rate says how often; a pair shows what happens. Both episodes are of one seed. They are played
-again, which gives the same episodes to the bit for a policy that repeats itself; where the outcome
-is another one this time, the pair is left out, and the page says how many were.
+again, which gives the same episodes to the bit for a policy that repeats itself. Those of a policy
+that does not were kept (``watched.py``). A pair without films, or with another outcome than was
+counted, is left out, and the page says how many were.
 
 The actions part at the first step from which they differ for ``STEPS`` steps by more than ``FAR``
 of the spread of the first episode's actions. Up to there both robots do the same.
@@ -14,41 +15,32 @@ import shlex
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from io import BytesIO
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from madviz.measure.attention import places_html
 from madviz.measure.blocks import Block, html
 from madviz.measure.episodes import Job, Runner
+from madviz.measure.watched import FPS, GAP, RATE, WatchedEpisode, kept, watched
 from madviz.observation.grammar import condition_text
-from madviz.observation.streams import StreamStack
 from madviz.plots.figures import curves
 from madviz.policies import checkpoint
-from madviz.subsets import camera_of, cameras_of
+from madviz.subsets import cameras_of
 from madviz.system.files import write_bytes
 from madviz.system.mp4 import REPEATABLE, Mp4
-from madviz.types import Array, Encoded, Environment
+from madviz.types import Array
 
 MOST = 12
 """Pairs on a page."""
 STEPS = 3
 FAR = 0.1
-SIDE = 168
-"""Pixels of a camera in a film."""
 BAR = 8
 """Pixels of the time line above it."""
-GAP = 4
-FPS = 10
-RATE = 30
-"""x264's constant rate factor: greater is smaller."""
 MARK = (184, 134, 11)
-_DIM = 0.3
-"""Brightness of a camera that is dropped: the policy does not get its picture."""
 
 
 @dataclass(frozen=True)
@@ -63,27 +55,13 @@ class EpisodePair:
     """The outcomes that were measured."""
 
 
-@dataclass
-class EpisodeAgain:
-    """An episode that was played again."""
-
-    pictures: list[Array] = field(default_factory=list)
-    """One for each decision, (SIDE, W, 3): all cameras side by side."""
-    actions: list[Array] = field(default_factory=list)
-    """(A,) each."""
-    looks: list[tuple[Array, Array]] = field(default_factory=list)
-    """The policy's input at each decision: views (V, C, H, W) and state (S,); where they are
-    kept."""
-    success: bool = False
-
-
 @dataclass(frozen=True)
 class ShownPair:
     """A pair with its two episodes."""
 
     pair: EpisodePair
-    first: EpisodeAgain
-    second: EpisodeAgain
+    first: WatchedEpisode
+    second: WatchedEpisode
 
     @property
     def distances(self) -> Array:
@@ -107,47 +85,21 @@ def parting(distances: Array) -> int | None:
 
 
 def show(pairs: Sequence[EpisodePair], runner: Runner) -> list[ShownPair]:
-    """Plays the episodes of ``pairs`` again; those whose outcomes are others now are left out."""
-    known: dict[Job, EpisodeAgain] = {}
+    """The pairs with their episodes, kept or played again; those that have none, or whose
+    outcomes are others now, are left out."""
+    known: dict[Job, WatchedEpisode | None] = {}
     for job in dict.fromkeys(pair.first for pair in pairs):
-        known[job] = played(job, runner, keep=True)
+        known[job] = kept(job) if job.kept else watched(job, runner, looks=True)[0]
     for job in dict.fromkeys(pair.second for pair in pairs):
-        known[job] = known.get(job) or played(job, runner)
-    return [
-        ShownPair(pair, known[pair.first], known[pair.second])
-        for pair in pairs
-        if pair.successes == (known[pair.first].success, known[pair.second].success)
-    ]
-
-
-def played(job: Job, runner: Runner, keep: bool = False) -> EpisodeAgain:
-    """Plays the episode of ``job``, and keeps pictures and actions; to ``keep``, also looks."""
-    result = EpisodeAgain()
-    _, policy = runner.opened(job)
-    streams = policy.spec.streams
-    present = job.condition.ablation(streams).present(streams)
-
-    def watch(env: Environment, stack: StreamStack, encoded: Encoded, action: Array) -> None:
-        tiles = []
-        for camera in cameras_of(streams):
-            stream = next(one for one in streams if camera_of(one) == camera)
-            picture = stack.newest[stream]  # (H, W, C)
-            if camera not in present:
-                picture = (_DIM * env.view(camera).rgb).astype(np.uint8)
-            elif picture.shape[2] == 1:
-                picture = picture.repeat(3, axis=2)
-            tiles += [_sized(picture), np.full((SIDE, GAP, 3), 40, np.uint8)]
-        result.pictures.append(np.concatenate(tiles[:-1], axis=1))
-        result.actions.append(np.asarray(action, np.float32))
-        if keep:
-            result.looks.append((stack.views, encoded.state))
-
-    result.success = runner.run(job, watch)[0].success
-    return result
-
-
-def _sized(picture: Array) -> Array:
-    return cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+        if job not in known:
+            known[job] = kept(job) if job.kept else watched(job, runner)[0]
+    shown = []
+    for pair in pairs:
+        first = known[pair.first]
+        second = known[pair.second]
+        if first and second and pair.successes == (first.success, second.success):
+            shown.append(ShownPair(pair, first, second))
+    return shown
 
 
 def film(shown: ShownPair) -> bytes:
@@ -173,6 +125,12 @@ def film(shown: ShownPair) -> bytes:
 
 # --- On a page ---
 
+KEPT = (
+    "This policy gives other answers when it is asked again. These are the episodes that were "
+    "counted, kept while they were played; the explorer shows another one of the same seed."
+)
+"""Beside episodes that were kept."""
+
 
 def pair_blocks(pairs: Sequence[EpisodePair], runner: Runner) -> list[Block]:
     """The part of a page that shows ``pairs``; nothing where there are none."""
@@ -180,14 +138,16 @@ def pair_blocks(pairs: Sequence[EpisodePair], runner: Runner) -> list[Block]:
         return []
     shown = show(pairs, runner)
     blocks = [Block("h2", ["Show me"])]
+    if pairs[0].first.kept:
+        blocks.append(Block("p", [KEPT]))
     blocks += [Block("raw", [sentence(one), _html(one, runner)]) for one in shown]
     if len(shown) < len(pairs):
         blocks.append(
             Block(
                 "p",
                 [
-                    f"{len(pairs) - len(shown)} of {len(pairs)} pairs came out otherwise when they "
-                    "were played again, and are not shown: this policy does not repeat itself."
+                    f"{len(pairs) - len(shown)} of {len(pairs)} pairs are not shown: their "
+                    "episodes were not kept, or came out otherwise when they were played again."
                 ],
             )
         )

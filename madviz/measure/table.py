@@ -47,6 +47,8 @@ class Table:
         folder = bool(reference) and checkpoint.is_folder(reference)
         self.reference = reference
         self.spec = spec
+        self.kept = ""
+        """A folder for what episodes look like, where they have to be kept (``watched.py``)."""
         self.definition = ""
         """The task's definition of a success; known with the first episode."""
         self.runner = Runner()
@@ -95,7 +97,7 @@ class Table:
 
     def job(self, condition: Condition, seed: int) -> Job:
         """The episode ``seed`` of ``condition``, to be run."""
-        return Job(self.reference, self.spec.digest, condition, seed)
+        return Job(self.reference, self.spec.digest, condition, seed, self.kept)
 
     def add(self, job: Job, finished: Finished) -> None:
         """Takes the result of a job, and stores it."""

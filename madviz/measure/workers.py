@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from madviz.errors import UserError
 from madviz.measure.episodes import Finished, Job, Runner
+from madviz.measure.watched import carry_out
 from madviz.system.processes import set_up_worker
 
 GIVE_UP = 3
@@ -219,7 +220,7 @@ def run_anywhere(
     count = workers.count if isinstance(workers, Workers) else processes(workers)
     if any(not job.policy for job in jobs):
         count = 0
-    results: Iterator[tuple[Job, Finished]] = ((job, here.run(job)) for job in jobs)
+    results: Iterator[tuple[Job, Finished]] = ((job, carry_out(job, here)) for job in jobs)
     if count and jobs:
         if not isinstance(workers, Workers):
             workers = Workers(min(count, len(jobs)), niceness=5)
@@ -255,4 +256,4 @@ def _start(stop: Any, niceness: int) -> None:
 
 
 def _work(job: Job) -> Finished:
-    return _process.runner.run(job)
+    return carry_out(job, _process.runner)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
 import av
+from av.error import FFmpegError
 
 from madviz.types import Array
 
@@ -56,6 +58,16 @@ class Mp4:
         """Writes what the encoder still holds, and the end of the file."""
         self._file.mux(self._stream.encode(None))
         self._file.close()
+
+
+def decoded(film: IO[bytes], most: int) -> list[Array]:
+    """At most ``most`` pictures (H, W, 3) of a film. Raises ValueError for what is none."""
+    try:
+        with av.open(film, "r") as file:
+            frames = islice(file.decode(video=0), most)
+            return [frame.to_ndarray(format="rgb24") for frame in frames]
+    except FFmpegError as error:
+        raise ValueError(f"expected a film, found: {error}") from error
 
 
 def with_chapters(plain: Path, out: Path, chapters: Sequence[tuple[float, float, str]]) -> None:

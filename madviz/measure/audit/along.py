@@ -186,10 +186,12 @@ def along(
     workers: int | None = None,
     store: Store | None = None,
     progress: bool = False,
+    kept: str = "",
 ) -> AlongFile:
     """Finds the breaking points of ``policy`` along the axes ``words`` (``axes.py``), on the seeds
     from ``seed`` on; the rest as in ``audit``. Raises UserError for an axis that is none."""
     table, loaded = Table.opened(policy, store or Store(MEMORY), own=True)
+    table.kept = kept
     axes = [parse_axis(word, loaded.spec.streams) for word in dict.fromkeys(words)]
     sides: dict[Axis, list[SidePlay]] = {}
     for axis in axes:

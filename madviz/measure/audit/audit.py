@@ -34,7 +34,7 @@ from madviz.measure.audit.account import account
 from madviz.measure.audit.along import EPISODES as ALONG_EPISODES
 from madviz.measure.audit.along import AlongFile, along
 from madviz.measure.audit.along_account import along_account, along_csv, along_words
-from madviz.measure.audit.audited_policy import FILE, check_same_policy
+from madviz.measure.audit.audited_policy import FILE, check_same_policy, repeats_itself
 from madviz.measure.audit.document import AuditFile, audit_document, facts_of
 from madviz.measure.audit.guarded import guarded_rows
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
@@ -62,6 +62,8 @@ from madviz.types import Policy
 from madviz.wire.reference import with_wire
 
 EPISODES = "episodes.sqlite"
+KEPT = "kept"
+"""The folder of what episodes looked like, for a policy that does not repeat itself."""
 MOST = 100
 """Episodes of each condition, where no other number is asked for."""
 
@@ -116,6 +118,7 @@ def audit(
     store: Store | None = None,
     progress: bool = False,
     guarded: str | Policy | None = None,
+    kept: str = "",
 ) -> AuditFile:
     """Audits ``policy`` on the seeds ``seed`` to ``seed + episodes - 1``, or fewer where all is
     decided before.
@@ -123,10 +126,12 @@ def audit(
     ``policy`` and ``workers`` as in ``madviz.evaluate``; ``how`` are the ways in which cameras are
     away. ``store`` is this audit's own: it answers for episodes that it has seen, and keeps the new
     ones. ``progress`` says on standard error what is planned and done. ``guarded`` is the policy
-    with its guard, with which every broken camera is played once more.
+    with its guard, with which every broken camera is played once more. ``kept`` is a folder for
+    what the episodes look like; '' keeps nothing.
     """
     seeds_of_run(seed, episodes)
     table, loaded = Table.opened(policy, store or Store(MEMORY), own=True)
+    table.kept = kept
     plan = AuditPlan(Cameras(loaded.spec.streams, loaded.supports, how), episodes, seed)
     if progress:
         summary = plan_words(plan.episodes, plan.detectable)
@@ -179,9 +184,10 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile | RecordedAuditFile:
         raise UserError("--how is about cameras that are away; leave it out, or --along")
     _check_folder(config, policy)
     check_same_policy(config.out, policy, config.seed)
+    kept = "" if not config.pairs or repeats_itself(reference, policy) else str(config.out / KEPT)
     with closing(Store(config.out / EPISODES)) as store:
         try:
-            document, blocks = _measured(config, reference, guarded, policy, store)
+            document, blocks = _measured(config, reference, guarded, policy, store, kept)
         except KeyboardInterrupt as stopped:
             raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
     _write(config.out, _name(config), document, blocks)
@@ -189,15 +195,20 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile | RecordedAuditFile:
 
 
 def _measured(
-    config: AuditConfig, reference: str, guarded: str | None, policy: Policy, store: Store
+    config: AuditConfig,
+    reference: str,
+    guarded: str | None,
+    policy: Policy,
+    store: Store,
+    kept: str,
 ) -> tuple[AuditFile | AlongFile, list[Block]]:
-    """The document that ``config`` asks for, and its account."""
+    """The document that ``config`` asks for, and its account. ``kept`` as in ``audit``."""
     runner = Runner()
     runner.adopt(reference, policy)
     again = command(config)
 
     def job(condition: Condition, seed: int) -> Job:
-        return Job(reference, policy.spec.digest, condition, seed)
+        return Job(reference, policy.spec.digest, condition, seed, kept)
 
     with closing(runner):
         if config.along:
@@ -209,6 +220,7 @@ def _measured(
                 workers=config.workers,
                 store=store,
                 progress=True,
+                kept=kept,
             )
             pairs = along_pairs(rows, config.along, policy, job, config.pairs)
             return rows, along_account(rows, again, pair_blocks(pairs, runner))
@@ -221,6 +233,7 @@ def _measured(
             store=store,
             progress=True,
             guarded=guarded,
+            kept=kept,
         )
         pairs = audit_pairs(found, policy, job, config.pairs)
         return found, account(found, again, pair_blocks(pairs, runner))

@@ -19,6 +19,8 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
+from madviz.policies import checkpoint
+from madviz.policies.guarded import unguarded
 from madviz.policies.seeds import FIRST_SELECTION
 from madviz.subsets import cameras_of
 from madviz.system.files import read_json, write_json
@@ -67,6 +69,11 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
             _compare(out, "policy that answers a fixed look with", known, now["answer"])
     if not (out / FILE).exists():
         write_json(out / FILE, now)
+
+
+def repeats_itself(reference: str, policy: Policy) -> bool:
+    """True for a policy folder, and for a policy that gives one answer twice."""
+    return checkpoint.is_folder(unguarded(reference)) or repeated_answer(policy) is not None
 
 
 def repeated_answer(policy: Policy) -> list[float] | None:
