@@ -26,6 +26,7 @@ from madviz.wire.codec import pack, unpack
 from madviz.wire.policy import ServedPolicy
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, random_policy
 from tests.sessions import BLACK, OFF, Recorder
+from tests.wires import wiring_file
 
 
 @contextmanager
@@ -49,6 +50,23 @@ POLICIES = {
     "all or nothing": AllOrNothing,
     "chunks": Chunked,
 }
+
+
+def test_a_wire_file_keeps_the_subsets_of_a_policy_of_ours(tmp_path):
+    with serving(FakePolicy()) as server:
+        known = load_policy(server.address).spec
+        assert known.trained_subsets == ("all", "first", "third_a", "third_b")
+        turned = '{ third_b = "third_a", third_a = "third_b", first = "first" }'
+        file = wiring_file(tmp_path, cameras=turned)
+        swapped = load_policy(f"{server.address}#wire={file}")
+        assert swapped.spec.trained_subsets == ("all", "first", "third_b", "third_a")
+        file = wiring_file(tmp_path, cameras='{ first = "first", third_a = "third_a" }')
+        fewer = load_policy(f"{server.address}#wire={file}")
+        assert fewer.spec.trained_subsets == ("first", "third_a"), "it was not trained on the two"
+    with serving(AllOrNothing()) as server:
+        file = wiring_file(tmp_path, cameras='{ first = "first", third_a = "third_a" }')
+        policy = load_policy(f"{server.address}#wire={file}")
+        assert not policy.supports(np.array([True, False]))
 
 
 @pytest.mark.parametrize("make", POLICIES.values(), ids=POLICIES)

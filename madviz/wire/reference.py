@@ -28,6 +28,7 @@ from madviz.wire.wiring import (
     policy_spec,
     read_wiring,
     served_spec,
+    subsets_there,
 )
 
 MARK = "#wire="
@@ -69,17 +70,24 @@ def connect(reference: str) -> ServedPolicy:
         speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
     where = address.text
     identity = identity_in(greeting)
+    facts = None
+    if OURS in greeting:
+        facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
     if wiring is not None:
         wiring = msgspec.structs.replace(wiring, protocol=speaker.name)
         check_specification(greeting, wiring, env_of(wiring), where)
         spec = policy_spec(wiring, where, identity)
-        return ServedPolicy(address, wiring, spec, None, identity)
-    if OURS not in greeting:
+        supported = None
+        if facts is not None and wiring.masks:
+            trained, known = subsets_there(facts, wiring)
+            spec = replace(spec, trained_subsets=tuple(trained) or spec.trained_subsets)
+            supported = frozenset(known)
+        return ServedPolicy(address, wiring, spec, supported, identity)
+    if facts is None:
         raise UserError(
             f"{where}: expected a server that says how it is wired, found one that speaks "
             f"{speaker.name} and does not; write that down in a file, and give it with --wire"
         )
-    facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
     wiring = checked(msgspec.structs.replace(facts.wiring, protocol=speaker.name), where)
     check_specification(greeting, wiring, env_of(wiring), where)
     spec = served_spec(facts, wiring, where)

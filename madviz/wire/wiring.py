@@ -28,12 +28,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from madviz.envs.checks import MAX_SIZE, check_size
 from madviz.envs.registry import choose, env_spec
 from madviz.errors import UserError, unknown
-from madviz.subsets import camera_of, every_mask, name_of
+from madviz.subsets import camera_of, every_mask, mask_of, name_of
 from madviz.system.typed import typed
 from madviz.types import (
     CameraSpec,
@@ -251,6 +252,28 @@ def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
         cameras=tuple(facts.cameras),
         digest=facts.digest,
     )
+
+
+def subsets_there(facts: PolicyFacts, wiring: Wiring) -> tuple[list[str], list[str]]:
+    """The subsets that a policy of madviz's was trained on, and those that it can act on, in the
+    streams of ``wiring``; without those that need a stream which ``wiring`` does not send."""
+    theirs = facts.wiring.streams
+    sent = [(key, wiring.stream(name)) for name, key in wiring.cameras.items()]
+    ours = [
+        next((stream for known, stream in sent if known == key), None)
+        for key in facts.wiring.cameras.values()
+    ]  # In the order of ``theirs``.
+
+    def here(names: list[str]) -> list[str]:
+        found = []
+        for name in names:
+            needed = [o for o, on in zip(ours, mask_of(name, theirs), strict=True) if on]
+            if None not in needed:
+                mask = np.array([stream in needed for stream in wiring.streams])
+                found.append(name_of(mask, wiring.streams))
+        return found
+
+    return here(facts.trained_subsets), here(facts.supported)
 
 
 def wiring_of(
