@@ -5,7 +5,7 @@
     results.md        results/RESULTS.md with its pictures
     tried.md          results/archive/tried.json: what was tried and did not help
     lessons.md        notebooks/README.md: the lessons, one by one
-    audits/*.html     the audits of results/audits
+    audits/*.html     the audits of results/audits; along/*.html those along axes
 
 architecture.md also gets the list of files, under its last heading. None of this is written to
 docs/, so it cannot go stale there.

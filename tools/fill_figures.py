@@ -137,6 +137,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "view-masking": measurements.view_masking,
     "places": measurements.places,
     "audits": audits.audits,
+    "along": audits.along,
     "audit-hammer-mad": partial(audits.sentences, "metaworld-hammer-mad-light"),
     "audit-hammer-merged-only": partial(audits.sentences, "metaworld-hammer-merged-only-light"),
     "audit-push-cube": partial(audits.sentences, "maniskill-push-cube-mad-paper-vectorised"),

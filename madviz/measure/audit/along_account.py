@@ -45,7 +45,7 @@ def _sentence(found: AlongFile, axis: AxisRow, side: SideRow) -> str:
     who = found["labels"].get(axis["camera"] or "", "All cameras")
     low, _ = side["ci95"]
     start = f"{who}, {side['way']}: "
-    end = _at(axis, side["end"])
+    end = at(axis["unit"], side["end"])
     if not side["n"]:
         return f"{start}nothing was played, because too few scenes are solved with nothing changed."
     if low is None:
@@ -53,23 +53,28 @@ def _sentence(found: AlongFile, axis: AxisRow, side: SideRow) -> str:
     if side["breaking"] is None:
         return (
             f"{start}no breaking point is shown up to {end}; half of its success or more is kept "
-            f"up to {_at(axis, low)}."
+            f"up to {at(axis['unit'], low)}."
         )
-    return f"{start}half of its success is gone at {_breaking(axis, side)}."
+    return f"{start}half of its success is gone at {breaking(axis, side)}."
 
 
-def _breaking(axis: AxisRow, side: SideRow) -> str:
+def breaking(axis: AxisRow, side: SideRow) -> str:
     """``11° [9, 14]``, also of the way to the left: the words beside it say which way it is."""
+    if side["ci95"][0] is None:
+        return "beyond the end"
     low, high = ("beyond" if end is None else f"{abs(end):.3g}" for end in side["ci95"])
     if axis["what"] in ("zoom", "light") and side["end"] < 1:
         low, high = high, low
-    broken = "beyond the end" if side["breaking"] is None else _at(axis, side["breaking"])
+    broken = "beyond the end" if side["breaking"] is None else at(axis["unit"], side["breaking"])
     return f"{broken} [{low}, {high}]"
 
 
-def _at(axis: AxisRow, value: float) -> str:
-    unit = axis["unit"]
-    return f"{abs(value):.3g}{'' if unit == '°' else ' '}{unit}"
+def at(unit: str, value: float) -> str:
+    """``11°``, ``1.34 times``, ``a strength of 0.5``; the way says on which side."""
+    number = f"{abs(value):.3g}"
+    if unit == "strength":
+        return f"a strength of {number}"
+    return f"{number}{'' if unit == '°' else ' '}{unit}"
 
 
 def along_account(found: AlongFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
@@ -107,7 +112,7 @@ def _rows(found: AlongFile) -> list[list[str]]:
         for side in axis["sides"]:
             last = side["places"][-1]
             kept = f"{last['kept']:.2f} [{last['ci95'][0]:.2f}, {last['ci95'][1]:.2f}]"
-            rows.append([axis["axis"], side["way"], _breaking(axis, side), kept, str(side["n"])])
+            rows.append([axis["axis"], side["way"], breaking(axis, side), kept, str(side["n"])])
     return rows
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from madviz.measure.audit.account import condition_label
 from madviz.measure.audit.along import AlongFile, SideRow
+from madviz.measure.audit.along_account import at
 from madviz.measure.audit.axes import parse_axis
 from madviz.measure.audit.document import AuditFile
 from madviz.measure.audit.lost_cameras import INTACT, Cameras
@@ -57,11 +58,11 @@ def along_pairs(
                 [
                     EpisodePair(
                         job(INTACT, seed),
-                        job(conditions[at], seed),
-                        ("nothing changed", f"{who}, {side_row['way']}: {at:g} {row['unit']}"),
+                        job(conditions[where], seed),
+                        ("nothing changed", f"{who}, {side_row['way']}: {at(row['unit'], where)}"),
                         (True, False),
                     )
-                    for at, seed in _nearest(side_row)
+                    for where, seed in _nearest(side_row)
                 ]
             )
     return in_turns(lists, most)
