@@ -12,6 +12,7 @@ from madviz.app.tour import HELP, Tour, keys_table
 from madviz.app.tour_steps import GOES_AT, acts, comparison_steps, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.observation.schedule import Event
 from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.session.commands import (
@@ -268,7 +269,27 @@ def test_a_button_does_what_it_says_whatever_is_open(table: Table, server: viser
     use(client.gui.find("New?"), "tour")
     assert buttons(client) == ["next step", "end the tour"]
     use(client.gui.find("New?"), "compare")
-    assert buttons(client) == ["just show me", "explore one policy"]
+    assert table.tick().second is not None, "who asks for it need not ask twice"
+    assert buttons(client) == ["next step", "explore one policy"]
+
+
+def test_the_comparison_begins_where_the_tour_shows_another_policy(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    tour.begin()
+    while "Another policy" not in client.gui.html:
+        tour.next()
+        table.tick()
+    assert table.frame.world.policy.name == "toy-merged-only-light"
+    use(client.gui.find("New?"), "compare")
+    frame = table.tick()
+    assert frame.world.policy.name == "toy-mad-light" and frame.second is not None
+    assert frame.condition == Condition("all")
+    use(client.gui.find("explore one policy"))
+    frame = table.tick()
+    assert frame.world.policy.name == "toy-mad-light" and frame.condition == Condition("all")
 
 
 def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: viser.ViserServer):

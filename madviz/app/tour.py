@@ -104,7 +104,7 @@ class Tour:
         frame = newest()
         recorded = isinstance(frame, Frame) and frame.world.env.recorded
         options = (HELP_BUTTON,) if send is None or recorded else (TOUR_BUTTON, HELP_BUTTON)
-        if send is not None and self._other() is not None:
+        if send is not None and self._other(frame) is not None:
             options = (COMPARE_BUTTON, *options)
         self._row = gui.add_button_group("New?", options, hint=HINT)
         self._row.on_click(heard(lambda event: self._pressed(event.target.value)))
@@ -119,39 +119,48 @@ class Tour:
             if compared and self._at == 0:
                 self._go()
             return
+        # The page still shows what the tour changed, until the simulation has taken it back.
+        start = self._start
         self.end()
         if button == COMPARE_BUTTON:
-            self.greet()
+            self._offer(start)
+            self._go()  # Who presses it has asked for it.
         elif button == TOUR_BUTTON:
-            self.begin()
+            self._begin(start)
 
-    def _other(self) -> str | None:
+    def _other(self, frame: Frame | NoFrame | None) -> str | None:
         """The policy to compare with, if there is one."""
-        frame = self._newest()
         if not isinstance(frame, Frame) or frame.world.env.recorded:
             return None
         return never_alone(frame.world.policy, self._choices)
 
     def greet(self) -> None:
         """Offers the comparison, if there is a policy to compare with."""
-        frame = self._newest()
-        other = self._other()
+        self._offer()
+
+    def _offer(self, start: Frame | None = None) -> None:
+        """``start``: the settings that are on their way back, where the page shows others."""
+        frame = start or self._newest()
+        other = self._other(frame)
         if isinstance(frame, Frame) and other is not None:
             first = unguarded(self._named(frame.world.policy))
             fitted = has_guard(first) and has_guard(other)
             steps = acts if fitted else comparison_steps
-            self._open(frame, steps(frame, other, self._named))
+            self._open(frame, steps(frame, other, self._named), start)
 
     def begin(self) -> None:
         """Opens the tour's window at its first step."""
-        frame = self._newest()
-        if isinstance(frame, Frame):
-            self._open(frame, steps(frame, self._choices, self._named))
+        self._begin()
 
-    def _open(self, frame: Frame, steps: list[Step]) -> None:
+    def _begin(self, start: Frame | None = None) -> None:
+        frame = start or self._newest()
+        if isinstance(frame, Frame):
+            self._open(frame, steps(frame, self._choices, self._named), start)
+
+    def _open(self, frame: Frame, steps: list[Step], start: Frame | None) -> None:
         if self._send is None or self._panel is not None:
             return
-        self._start = None
+        self._start = start
         self._steps = steps
         self._at = 0
         self._acting = self._named(frame.world.policy)
