@@ -80,8 +80,7 @@ def along() -> str:
                 (f"{who}, {sides[0]['way']}, to {at(axes[0]['unit'], sides[0]['end'])}", *ends)
             )
     heads = (
-        f"[{one['policy']}](along/{name}.html)"
-        for name, one in zip(ALONG, found, strict=True)
+        f"[{one['policy']}](along/{name}.html)" for name, one in zip(ALONG, found, strict=True)
     )
     return table(("change", *heads), rows)
 

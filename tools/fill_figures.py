@@ -127,6 +127,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "rewards": rewards_table.rewards,
     "recorded": recorded_table.recorded,
     "guard-trial": guard_table.guard_trial,
+    "guard-ways": guard_table.guard_ways,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,
     "priorities": measurements.priorities,

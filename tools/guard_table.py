@@ -9,25 +9,29 @@ from typing import Any
 
 import numpy as np
 from measurements import read, table
+from policy_files import LABELS
 
 from madviz.measure.statistics import SuccessRate, interval_over_trainings
 from madviz.policies import checkpoint
 
 SIDES = ("broken", "guarded", "dropped")
 NAMES = {"black": "black", "freeze": "frozen"}
+"""The ways of the first table, in which First person fails."""
+ALL_NAMES = {**NAMES, "dropout:0.5": "lossy", "noise": "noise", "delay:0.5": "late by 5"}
+FIRST = "first"
 INTACT = "guard/intact"
 BROKEN = "guard/broken"
 
 
 def guard_trial() -> str:
-    """Success broken, guarded and dropped, for each task, and one row for all."""
-    rows = read(BROKEN)["rows"]
+    """Success broken, guarded and dropped with First person, for each task, and one row for all."""
+    rows = [row for row in read(BROKEN)["rows"] if row["camera"] == FIRST]
     ways = [way for way in NAMES if any(row["way"] == way for row in rows)]
     alarms = {row["policy"]: _alarms(row) for row in read(INTACT)["rows"]}
     header = ["task", "false alarms", *(f"{NAMES[way]}: {side}" for way in ways for side in SIDES)]
     lines = []
     for policy in alarms:
-        ours = [row for row in rows if row["policy"] == policy and row["camera"]]
+        ours = [row for row in rows if row["policy"] == policy]
         measured = [_rate(ours, way, side) for way in ways for side in SIDES]
         cells = [f"{rate.value:.2f}" if rate.n else "–" for rate in measured]
         task = checkpoint.describe(policy).config.task
@@ -38,9 +42,29 @@ def guard_trial() -> str:
     return f"{table(header, lines)}\n{_sentences(rows, ways, found, n)}\n"
 
 
+def guard_ways() -> str:
+    """A row for each camera and way that was played on every task: success over all of them, and
+    when it was noticed."""
+    rows = [row for row in read(BROKEN)["rows"] if row["camera"]]
+    policies = {row["policy"] for row in rows}
+    lines = []
+    for camera in dict.fromkeys(row["camera"] for row in rows):
+        for way, name in ALL_NAMES.items():
+            ours = [row for row in rows if (row["camera"], row["way"]) == (camera, way)]
+            if {row["policy"] for row in ours} != policies:
+                continue
+            rates = [_over_tasks(ours, way, side) for side in SIDES]
+            steps = [step + 1 for row in ours for step in row["noticed"] if step is not None]
+            every = sum(len(row["noticed"]) for row in ours)
+            when = f"{np.median(steps):g}; {np.percentile(steps, 95):g}" if steps else "–"
+            lines.append([LABELS[camera], name, *rates, f"{len(steps)} of {every}", when])
+    header = ["camera", "fails", *SIDES, "noticed in", "at step: median; 95 %"]
+    return f"{table(header, lines)}\n"
+
+
 def headline() -> str:
     """One finding for the front page: a frozen camera, with the guard and without."""
-    rows = read(BROKEN)["rows"]
+    rows = [row for row in read(BROKEN)["rows"] if row["camera"] == FIRST]
     broken, guarded = (_over_tasks(rows, "freeze", side) for side in ("broken", "guarded"))
     ours = [row for row in rows if row["way"] == "freeze"]
     return (
