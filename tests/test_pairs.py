@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from base64 import b64decode
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from madviz.app.server import ExploreConfig, beginning
 from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
 from madviz.measure.audit.audit import AuditConfig, run_audit
+from madviz.measure.audit.audited_policy import repeats_itself
 from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.pairs import KEPT, EpisodePair, explore_command, pair_blocks, parting, show
@@ -26,6 +28,7 @@ from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.grammar import condition_text, parse_condition
 from madviz.session.commands import SetCamera
+from tests.fakes import AllOrNothing, Chunked, Restless
 from tests.test_audit import Looker
 
 ALL, ALONE = Condition("all"), Condition("first")
@@ -113,11 +116,13 @@ class Dreamer(Looker):
     def __init__(self):
         super().__init__("dreamer")
         self._rng = np.random.default_rng()
+        self.answers: list[np.ndarray] = []
 
     def read(self, encoded, masks):
         found = super().read(encoded, masks)
         drawn = 0.2 * self._rng.standard_normal(found.action.shape).astype(np.float32)
-        return replace(found, action=np.clip(found.action + drawn, -1, 1))
+        self.answers += [np.clip(found.action + drawn, -1, 1)]
+        return replace(found, action=self.answers[-1])
 
 
 def make_dreamer():
@@ -140,20 +145,46 @@ def test_episodes_are_kept_of_a_policy_that_does_not_repeat_itself(tmp_path):
     assert "2 of 2 pairs are not shown" in (tmp_path / "audit.html").read_text()
 
 
+def test_worker_processes_keep_them_too_and_what_cannot_be_written_counts(tmp_path):
+    config = AuditConfig(
+        "tests.test_pairs:make_dreamer", tmp_path, episodes=1, how=("dropped",), workers=1, pairs=1
+    )
+    run_audit(config)
+    assert (tmp_path / "audit.html").read_text().count("<video") == 1
+    (tmp_path / "in the way").mkdir()
+    (tmp_path / "in the way" / "kept").write_text("a file")
+    found = run_audit(replace(config, out=tmp_path / "in the way", workers=0))
+    assert "shapley" in found and found["intact"]["n"] == 1
+    assert "1 of 1 pairs are not shown" in (tmp_path / "in the way" / "audit.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("make", "repeats"),
+    [(Looker, True), (Dreamer, False), (Restless, False), (Chunked, True), (AllOrNothing, True)],
+)
+def test_a_policy_is_asked_whether_it_repeats_itself(make, repeats):
+    assert repeats_itself("module:factory", make()) == repeats
+
+
 def test_a_kept_episode_is_the_one_that_was_played(tmp_path):
     runner = Runner()
-    runner.adopt("p", Dreamer())
+    policy = Dreamer()
+    runner.adopt("p", policy)
     asked = replace(job(ALL), digest="dreamer", kept=str(tmp_path))
     result, _ = carry_out(asked, runner)
     found = kept(asked)
     assert found and found.success == result.success and found.looks == []
+    assert np.array_equal(found.actions, np.concatenate(policy.answers))
+    again, _ = watched(asked, runner)
+    assert not np.array_equal(found.actions[0], again.actions[0])
     assert len(found.pictures) == len(found.actions) and found.pictures[0].shape == (168, 340, 3)
-    assert not np.array_equal(found.actions[0], watched(asked, runner)[0].actions[0])
+    assert np.abs(found.pictures[0].astype(int) - again.pictures[0]).mean() < 3, "one start"
     assert kept(replace(asked, seed=1)) is None, "another episode was not kept"
 
 
-def test_compare_keeps_the_episodes_of_such_a_policy(tmp_path):
+def test_compare_keeps_the_episodes_of_such_a_policy(tmp_path, monkeypatch):
     page = tmp_path / "pairs.html"
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     words = ["compare", "tests.test_pairs:make_dreamer", "--conditions", "all", "third_b=black"]
     words += ["--episodes", "1", "--workers", "0", "--page", str(page), "--json", "-"]
     assert cli.main(words) == 0

@@ -65,8 +65,12 @@ def test_a_wire_file_keeps_the_subsets_of_a_policy_of_ours(tmp_path):
         assert fewer.spec.trained_subsets == ("first", "third_a"), "it was not trained on the two"
     with serving(AllOrNothing()) as server:
         file = wiring_file(tmp_path, cameras='{ first = "first", third_a = "third_a" }')
-        policy = load_policy(f"{server.address}#wire={file}")
-        assert not policy.supports(np.array([True, False]))
+        with pytest.raises(UserError, match="it needs more of them in"):
+            load_policy(f"{server.address}#wire={file}")
+        every = '{ first = ["first"], third_a = "third_a", third_b = "third_b" }'
+        policy = load_policy(f"{server.address}#wire={wiring_file(tmp_path, cameras=every)}")
+        assert policy.supports(np.ones(3, bool)) and not policy.supports(np.array([1, 1, 0], bool))
+        assert isinstance(policy, ServedPolicy) and not policy.stateless, "the file may not know"
 
 
 @pytest.mark.parametrize("make", POLICIES.values(), ids=POLICIES)

@@ -292,6 +292,25 @@ def test_the_comparison_begins_where_the_tour_shows_another_policy(
     assert frame.world.policy.name == "toy-mad-light" and frame.condition == Condition("all")
 
 
+def test_what_a_visitor_changes_after_a_tour_is_not_taken_back_by_the_next(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    guesses: list[str] = []
+    tour = Tour(
+        client, table.session.send, lambda: table.frame, CHOICES, [], guessed=guesses.append
+    )
+    tour.begin()
+    tour.next()
+    tour.end()
+    table.session.send(SetCamera("third_a", CameraState("off")))
+    before = table.tick()
+    use(client.gui.find("New?"), "compare")
+    assert table.tick().second is not None and guesses == [], "nobody was asked for a guess"
+    use(client.gui.find("explore one policy"))
+    assert table.tick().condition == before.condition
+
+
 def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
     table.session.send(SetCamera("third_a", CameraState("off")))
     before = table.tick()

@@ -120,11 +120,11 @@ class Tour:
                 self._go()
             return
         # The page still shows what the tour changed, until the simulation has taken it back.
-        start = self._start
+        start = self._start if self._panel is not None else None
         self.end()
         if button == COMPARE_BUTTON:
             self._offer(start)
-            self._go()  # Who presses it has asked for it.
+            self.next()  # Who presses it has asked for it.
         elif button == TOUR_BUTTON:
             self._begin(start)
 

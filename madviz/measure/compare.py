@@ -59,8 +59,7 @@ class CompareConfig:
     curves: Path | None = None
     """Write success against environment steps to this SVG file; recipe ``paper`` measures it."""
     page: Path | None = None
-    """Write a page with episodes that came out differently to this HTML file, as films: they are
-    played again."""
+    """Write a page with episodes that came out differently to this HTML file, as films."""
     wire: Path | None = None
     """With ``--conditions`` and ws://HOST:PORT: how its names and shapes map to ours."""
     conditions: tuple[str, ...] = ()

@@ -7,6 +7,8 @@ names a folder for that (``Job.kept``), and ``kept`` reads what it has of an epi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
 from io import BytesIO
@@ -16,6 +18,7 @@ from zipfile import BadZipFile
 import cv2
 import numpy as np
 
+from madviz.errors import UserError
 from madviz.measure.episodes import Finished, Job, Runner
 from madviz.observation.streams import StreamStack
 from madviz.subsets import camera_of, cameras_of
@@ -29,7 +32,7 @@ GAP = 4
 FPS = 10
 RATE = 30
 """x264's constant rate factor: greater is smaller."""
-_KEPT_RATE = 20
+_KEPT_RATE = 26
 """The factor of an episode that is kept, which is encoded once more for a page."""
 _DIM = 0.3
 """Brightness of a camera that is dropped: the policy does not get its picture."""
@@ -49,9 +52,16 @@ class WatchedEpisode:
     success: bool = False
 
 
-def watched(job: Job, runner: Runner, looks: bool = False) -> tuple[WatchedEpisode, Finished]:
-    """Plays the episode of ``job`` and watches it, with its ``looks`` if they are asked for."""
+def watched(
+    job: Job,
+    runner: Runner,
+    looks: bool = False,
+    shown: Callable[[Array], None] | None = None,
+) -> tuple[WatchedEpisode, Finished]:
+    """Plays the episode of ``job`` and watches it, with its ``looks`` if they are asked for.
+    Pictures go to ``shown``, by default into the episode."""
     episode = WatchedEpisode()
+    show = shown or episode.pictures.append
     _, policy = runner.opened(job)
     streams = policy.spec.streams
     present = job.condition.ablation(streams).present(streams)
@@ -66,7 +76,7 @@ def watched(job: Job, runner: Runner, looks: bool = False) -> tuple[WatchedEpiso
             elif picture.shape[2] == 1:
                 picture = picture.repeat(3, axis=2)
             tiles += [_sized(picture), np.full((SIDE, GAP, 3), 40, np.uint8)]
-        episode.pictures.append(np.concatenate(tiles[:-1], axis=1))
+        show(np.concatenate(tiles[:-1], axis=1))
         episode.actions.append(np.asarray(action, np.float32))
         if looks:
             episode.looks.append((stack.views, encoded.state))
@@ -81,14 +91,13 @@ def _sized(picture: Array) -> Array:
 
 
 def carry_out(job: Job, runner: Runner) -> Finished:
-    """Plays the episode of ``job``, and keeps it in the folder that the job names, if any."""
+    """Plays the episode of ``job``, and keeps it in the folder that the job names, if any. Where
+    that cannot be written, the episode counts all the same."""
     if not job.kept:
         return runner.run(job)
-    episode, finished = watched(job, runner)
     film = BytesIO()
     written = Mp4(film, FPS, _KEPT_RATE, REPEATABLE)
-    for picture in episode.pictures:
-        written.add(picture)
+    episode, finished = watched(job, runner, shown=written.add)
     written.close()
     content = BytesIO()
     np.savez(
@@ -98,8 +107,9 @@ def carry_out(job: Job, runner: Runner) -> Finished:
         success=np.array(episode.success),
     )
     file = _file(job)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(file, content.getvalue())
+    with suppress(OSError, UserError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(file, content.getvalue())
     return finished
 
 

@@ -51,15 +51,18 @@ class ServedPolicy:
         spec: PolicySpec,
         supported: frozenset[str] | None,
         identity: dict[str, str],
+        said: bool = False,
     ) -> None:
-        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says, of a
-        server that is not madviz's. Its ``protocol`` must be known. ``identity``: what the server
-        said that it serves (``identity_in``). Nothing is connected yet."""
+        """``supported``: the subsets it can act on, by name; None: those that ``wiring`` says. The
+        ``protocol`` of ``wiring`` must be known. ``identity``: what the server said that it serves
+        (``identity_in``). ``said``: whether the server said ``wiring`` itself, as madviz's do, and
+        no file did. Nothing is connected yet."""
         self.spec = spec
         self.address = address
         self.wiring = wiring
         self.identity = identity
         self._supported = supported
+        self._said = said
         self._env = env_of(wiring)
         self._robot = robot_of(recordings_of(spec.task)) if is_recording(spec.task) else None
         self._connection = PolicyConnection(address, wiring.timeout)
@@ -70,8 +73,7 @@ class ServedPolicy:
     @property
     def stateless(self) -> bool:
         """Whether an answer depends on the look alone, whoever asks and whatever was asked."""
-        ours = self._supported is not None
-        return not self.wiring.history and (ours or self.wiring.protocol == "openpi")
+        return not self.wiring.history and (self._said or self.wiring.protocol == "openpi")
 
     @property
     def has_digest(self) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -70,28 +71,35 @@ def connect(reference: str) -> ServedPolicy:
         speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
     where = address.text
     identity = identity_in(greeting)
-    facts = None
-    if OURS in greeting:
-        facts = typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
     if wiring is not None:
         wiring = msgspec.structs.replace(wiring, protocol=speaker.name)
         check_specification(greeting, wiring, env_of(wiring), where)
         spec = policy_spec(wiring, where, identity)
         supported = None
-        if facts is not None and wiring.masks:
-            trained, known = subsets_there(facts, wiring)
-            spec = replace(spec, trained_subsets=tuple(trained) or spec.trained_subsets)
+        if OURS in greeting and wiring.masks:
+            trained, known = subsets_there(_facts(greeting, where), wiring)
+            if not set(known) - {"none"}:
+                raise UserError(
+                    f"{where}: expected cameras that this policy can act on, found "
+                    f"{', '.join(wiring.cameras)}; it needs more of them in [cameras]"
+                )
+            spec = replace(spec, trained_subsets=tuple(trained))
             supported = frozenset(known)
         return ServedPolicy(address, wiring, spec, supported, identity)
-    if facts is None:
+    if OURS not in greeting:
         raise UserError(
             f"{where}: expected a server that says how it is wired, found one that speaks "
             f"{speaker.name} and does not; write that down in a file, and give it with --wire"
         )
+    facts = _facts(greeting, where)
     wiring = checked(msgspec.structs.replace(facts.wiring, protocol=speaker.name), where)
     check_specification(greeting, wiring, env_of(wiring), where)
     spec = served_spec(facts, wiring, where)
-    return ServedPolicy(address, wiring, spec, frozenset(facts.supported), identity)
+    return ServedPolicy(address, wiring, spec, frozenset(facts.supported), identity, said=True)
+
+
+def _facts(greeting: dict[str, Any], where: str) -> PolicyFacts:
+    return typed(greeting[OURS], PolicyFacts, where, "it runs another version of madviz")
 
 
 def rewired(policy: ServedPolicy, wiring: Wiring) -> ServedPolicy:

@@ -256,12 +256,14 @@ def served_spec(facts: PolicyFacts, wiring: Wiring, address: str) -> PolicySpec:
 
 def subsets_there(facts: PolicyFacts, wiring: Wiring) -> tuple[list[str], list[str]]:
     """The subsets that a policy of madviz's was trained on, and those that it can act on, in the
-    streams of ``wiring``; without those that need a stream which ``wiring`` does not send."""
+    streams of ``wiring``, whose protocol is known; without those that need a stream which
+    ``wiring`` does not send."""
+    assert wiring.protocol is not None
     theirs = facts.wiring.streams
-    sent = [(key, wiring.stream(name)) for name, key in wiring.cameras.items()]
+    sent, wanted = (one.paths(wiring.protocol) for one in (wiring, facts.wiring))
     ours = [
-        next((stream for known, stream in sent if known == key), None)
-        for key in facts.wiring.cameras.values()
+        next((wiring.stream(n) for n in wiring.cameras if sent[f"cameras.{n}"] == path), None)
+        for path in (wanted[f"cameras.{name}"] for name in facts.wiring.cameras)
     ]  # In the order of ``theirs``.
 
     def here(names: list[str]) -> list[str]:

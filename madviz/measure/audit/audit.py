@@ -90,7 +90,8 @@ class AuditConfig:
     """Instead: how much is too much, along axes such as ``third_a.pan=-20:20 third_a.blur=0:1
     light=0.3:2 third_a.delay=0:8``; also forward, right, up, tilt, zoom, noise, patch and loss."""
     pairs: Annotated[int, Range(int, 0, MOST_PAIRS)] = 4
-    """Episodes that turned, to be shown beside the intact ones: films that are made at the end."""
+    """Episodes that turned, to be shown beside the intact ones: films. Those of a policy that
+    does not repeat itself are kept while its episodes are played, unless this is 0."""
     workers: ThreadsOrNone | None = None
     """Processes; by default one per core. 0 runs everything in this one."""
     json: str | None = None

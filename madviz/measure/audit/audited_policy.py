@@ -19,10 +19,12 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
+from madviz.observation.streams import StreamStack
 from madviz.policies import checkpoint
 from madviz.policies.guarded import unguarded
+from madviz.policies.players import player_of
 from madviz.policies.seeds import FIRST_SELECTION
-from madviz.subsets import cameras_of
+from madviz.subsets import cameras_of, every_mask
 from madviz.system.files import read_json, write_json
 from madviz.types import Array, Policy
 from madviz.wire.policy import ServedPolicy
@@ -72,8 +74,21 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
 
 
 def repeats_itself(reference: str, policy: Policy) -> bool:
-    """True for a policy folder, and for a policy that gives one answer twice."""
-    return checkpoint.is_folder(unguarded(reference)) or repeated_answer(policy) is not None
+    """True for a policy folder, and for a policy whose first two actions come again in a second
+    episode of the same seed and looks."""
+    if checkpoint.is_folder(unguarded(reference)):
+        return True
+    streams = policy.spec.streams
+    masks = [mask for mask in every_mask(len(streams))[::-1] if policy.supports(mask)]
+    if not masks:
+        return True
+    stack, state = _first_look(policy)
+    answers = []
+    for _ in range(2):
+        with closing(player_of(policy, FIRST_SELECTION)) as player, one_thread():
+            encoded = policy.encode(stack.views, state)
+            answers.append([player.act(encoded, masks[0]) for _ in range(2)])  # (2, A)
+    return _agree(*map(np.stack, answers))
 
 
 def repeated_answer(policy: Policy) -> list[float] | None:
@@ -83,20 +98,27 @@ def repeated_answer(policy: Policy) -> list[float] | None:
     mask = np.ones(len(spec.streams), bool)  # (V,)
     if not policy.supports(mask):
         return None
-    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
-        now = env.reset(FIRST_SELECTION)
-        stack = stack_of(spec, env.spec)
-        views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}
-        stack.push(views, Ablation({}), FIRST_SELECTION, 0)
+    stack, state = _first_look(policy)
     answers = []
     for _ in range(2):
         if isinstance(policy, ServedPolicy):
             policy.close()  # Each ask is the first one of a connection.
         with one_thread():
-            encoded = policy.encode(stack.views, now.state)
+            encoded = policy.encode(stack.views, state)
             answers.append(policy.read(encoded, mask[None]).action[0])  # (A,)
     first, second = answers
     return [round(float(x), 6) for x in first] if _agree(first, second) else None
+
+
+def _first_look(policy: Policy) -> tuple[StreamStack, Array]:
+    """What a policy gets at the first step of a selection seed: pictures and state (S,)."""
+    spec = policy.spec
+    with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
+        now = env.reset(FIRST_SELECTION)
+        stack = stack_of(spec, env.spec)
+        views = {camera: env.view(camera) for camera in cameras_of(spec.streams)}
+        stack.push(views, Ablation({}), FIRST_SELECTION, 0)
+    return stack, now.state
 
 
 def _begun(out: Path) -> dict[str, Any]:
