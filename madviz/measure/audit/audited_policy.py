@@ -111,7 +111,7 @@ def repeated_answer(policy: Policy) -> list[float] | None:
 
 
 def _first_look(policy: Policy) -> tuple[StreamStack, Array]:
-    """What a policy gets at the first step of a selection seed: pictures and state (S,)."""
+    """The pictures and the state (S,) that a policy gets at the first step of a selection seed."""
     spec = policy.spec
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
         now = env.reset(FIRST_SELECTION)
