@@ -15,7 +15,6 @@ way. With ``--conditions``, conditions of one policy are compared instead
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +38,7 @@ from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.listing import BrokenRow
 from madviz.subsets import mask_of, name_of
-from madviz.system.files import write_bytes, written_to
+from madviz.system.files import read_rows, write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.wire.reference import with_wire
 
@@ -359,8 +358,7 @@ def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
     """Success by subset, and on average, at every environment step that was measured."""
     file = evidence.path / "curve.csv"
     table = {}
-    rows = csv.DictReader(file.read_text().splitlines()) if file.is_file() else []
-    for row in rows:
+    for row in read_rows(file):
         rates = {
             k.removeprefix("success_"): float(v) for k, v in row.items() if k.startswith("success_")
         }

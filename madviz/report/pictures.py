@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from madviz.report.rows import Row
 from madviz.report.tables import SUITES, ResultTable
 from madviz.report.threshold import WEAK, Verdict
 from madviz.runs.curve import success_lines
+from madviz.system.files import read_rows
 
 DIFFERENCES: tuple[Callable[[Evidence], str], ...] = (
     lambda policy: policy.config.recipe,
@@ -110,7 +110,7 @@ def task_of(name: str) -> str:
 def _curves_on(task: str, evidence: Sequence[Evidence]) -> str:
     panels: dict[str, dict[str, figures.Line]] = {}
     for policy, label in zip(evidence, _told_apart(evidence), strict=True):
-        lines = success_lines(list(csv.DictReader(_curve(policy).read_text().splitlines())))
+        lines = success_lines(read_rows(_curve(policy)))
         streams = policy.config.streams
         for subset, line in lines.items():
             name = streams[0] if len(streams) == 1 else subset

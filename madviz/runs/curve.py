@@ -9,13 +9,12 @@ rate so far. Several trainings in one picture, with intervals over their seeds, 
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from madviz.measure.statistics import wilson
 from madviz.plots import figures
-from madviz.system.files import write_bytes
+from madviz.system.files import read_rows, write_bytes
 
 PREFIX = "success_"
 
@@ -25,8 +24,7 @@ def draw_curve(folder: Path, name: str, steps: int) -> None:
 
     Nothing is drawn from a curve that has no success by subset.
     """
-    file = folder / "curve.csv"
-    rows = list(csv.DictReader(file.read_text().splitlines())) if file.is_file() else []
+    rows = read_rows(folder / "curve.csv")
     lines = success_lines(rows)
     if not lines:
         return

@@ -31,7 +31,7 @@ import torch
 
 from madviz.errors import Terminated, UserError
 from madviz.policies.checkpoint import CONFIG
-from madviz.system.files import PART, replacing, write_bytes
+from madviz.system.files import PART, read_rows, replacing, write_bytes
 from madviz.system.lock import locked
 
 Event = dict[str, Any]
@@ -177,8 +177,7 @@ class RunFolder:
         file = self.path / "curve.csv"
         if not file.exists():
             return
-        with file.open(newline="") as handle:
-            rows = [row for row in csv.DictReader(handle) if float(row[column]) <= limit]
+        rows = [row for row in read_rows(file) if float(row[column]) <= limit]
         with replacing(file) as part:
             for row in rows:
                 _append(part, row)

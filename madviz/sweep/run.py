@@ -17,7 +17,6 @@ claim until then).
 
 from __future__ import annotations
 
-import csv
 import os
 import shlex
 import signal
@@ -34,7 +33,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 from madviz.errors import UserError
 from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
 from madviz.policies.measured import RateRow
-from madviz.system.files import read_json, write_json
+from madviz.system.files import read_json, read_rows, write_json
 from madviz.system.lock import locked
 from madviz.system.typed import typed
 
@@ -212,7 +211,7 @@ def expected_seconds(folder: Path) -> float | None:
     """The total time that the run's training predicts; None before it says so."""
     file = folder / IN_RUN / "curve.csv"
     try:
-        *_, last = csv.DictReader(file.read_text().splitlines())
+        *_, last = read_rows(file)
         return float(last["seconds"]) + float(last["seconds_left"])
     except (OSError, ValueError, KeyError, TypeError):
         return None  # Not begun, half a row, or a recipe that does not know.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import math
@@ -142,6 +143,14 @@ def write_json(path: Path, value: Any) -> None:
 def pretty(value: Any) -> str:
     """Indented JSON in which every list or object that fits on a line stays on one."""
     return _laid_out(value, "\n") + "\n"
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file by its first line; none where there is no file."""
+    if not path.is_file():
+        return []
+    with path.open(newline="") as text:
+        return list(csv.DictReader(text))
 
 
 def read_json(path: Path) -> Any:

@@ -6,7 +6,6 @@ second time has its policies at once.
 
 from __future__ import annotations
 
-import csv
 import tempfile
 import time
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from madviz.errors import Interrupted, UserError
 from madviz.policies import checkpoint
+from madviz.system.files import read_rows
 from madviz.teaching.episode import begin
 from madviz.types import Policy, PolicySpec
 
@@ -117,5 +117,6 @@ def _say(event: dict[str, Any]) -> None:
 
 
 def _read_curve(file: Path) -> tuple[Mapping[str, Any], ...]:
-    rows = csv.DictReader(file.read_text().splitlines())
-    return tuple({key: float(value or "nan") for key, value in row.items()} for row in rows)
+    return tuple(
+        {key: float(value or "nan") for key, value in row.items()} for row in read_rows(file)
+    )

@@ -14,7 +14,6 @@ is being watched must not change under those who watch it. One job at a time.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import math
@@ -30,7 +29,7 @@ from typing import Literal
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task
 from madviz.errors import UserError, unknown
-from madviz.system.files import new_folder, write_json
+from madviz.system.files import new_folder, read_rows, write_json
 from madviz.system.priority import lowest_priority
 
 State = Literal["idle", "running", "stopping", "stopped", "failed", "done"]
@@ -273,13 +272,9 @@ class TrainingJob:
 
 def _rows(file: Path) -> tuple[dict[str, float], ...]:
     """Numbers of a curve that is being written; a last line that is not whole is left out."""
-    if not file.exists():
-        return ()
-    with file.open(newline="") as handle:
-        read = list(csv.DictReader(handle))
     return tuple(
         {key: _number(value) for key, value in row.items()}
-        for row in read
+        for row in read_rows(file)
         if None not in row.values()
     )
 

@@ -9,7 +9,6 @@ recorded ones on episodes that were held out before training, in units of the ac
 
 from __future__ import annotations
 
-import csv
 import time
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from madviz.runs.demonstrations import Dataset, Driver
 from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import every_mask, name_of
-from madviz.system.files import write_bytes
+from madviz.system.files import read_rows, write_bytes
 from madviz.training.light import LightRun, report_round, train_light
 from madviz.training.light_options import RECORDING, LightConfig
 from madviz.types import Array
@@ -227,7 +226,7 @@ def _report(run: RecordedRun, folder: RunFolder, loss: float, errors: dict[str, 
 
 def _draw_curve(folder: Path, rounds: int) -> None:
     """Draws the errors in ``curve.csv`` to ``curve.svg``: all cameras, each alone, and none."""
-    rows = list(csv.DictReader((folder / "curve.csv").read_text().splitlines()))
+    rows = read_rows(folder / "curve.csv")
     columns = [column for column in rows[0] if column.startswith(ERROR)]
     series = {
         column.removeprefix(ERROR): [float("nan"), *(float(row[column]) for row in rows)]
