@@ -19,7 +19,7 @@ from madviz.app.panels.success import bars_html
 from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.episodes import Job, Runner
-from madviz.measure.live import HELD, Evaluator
+from madviz.measure.live import Evaluator
 from madviz.measure.store import MEMORY, EpisodeResult, Store
 from madviz.measure.workers import Workers
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
@@ -92,14 +92,6 @@ def test_seeds_are_run_in_order_one_at_a_time_until_there_are_enough(live):
     assert (tally.success.successes, tally.success.n, tally.success_any.value) == (3, 4, 1.0)
     assert tally.success.interval == pytest.approx((0.3006, 0.9544), abs=1e-4)
     assert [result.seed for result in tally.results] == [60000, 60001, 60002, 60003]
-
-
-def test_a_visitor_who_acts_has_the_cores_first(live):
-    evaluator, workers = live
-    rates = SuccessRates(make_evaluator=lambda listener: evaluator)
-    rates.hold()
-    assert 0 < workers._held.value - time.monotonic() <= HELD
-    SuccessRates().hold()  # Nothing is measured: nothing to hold.
 
 
 def test_asking_the_same_again_changes_nothing(live):
@@ -293,7 +285,7 @@ def test_closing_does_not_wait_for_the_end_of_an_episode():
     evaluator = Evaluator(1, listener=lambda tally: started.set(), episodes=10**4)
     evaluator.request("bob", POLICY, FIRST)
     evaluator.request("ann", "tests.test_live:Patient", FIRST)
-    assert started.wait(60)  # Bob's first episode is over, Ann's has begun.
+    assert started.wait(300)  # Bob's first episode is over, Ann's has begun.
     closing = time.monotonic()
     evaluator.close()
     assert time.monotonic() - closing < 10

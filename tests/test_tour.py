@@ -292,6 +292,21 @@ def test_the_comparison_begins_where_the_tour_shows_another_policy(
     assert frame.world.policy.name == "toy-mad-light" and frame.condition == Condition("all")
 
 
+def test_the_comparison_begins_while_the_tour_is_taken_back(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    tour.begin()
+    while "Another policy" not in client.gui.html:
+        tour.next()
+        table.tick()
+    tour.end()
+    use(client.gui.find("New?"), "compare")
+    frame = table.tick()
+    assert frame.world.policy.name == "toy-mad-light" and frame.second is not None
+
+
 def test_what_a_visitor_changes_after_a_tour_is_not_taken_back_by_the_next(
     table: Table, server: viser.ViserServer
 ):

@@ -9,12 +9,10 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
 from madviz.errors import UserError
-from madviz.measure import workers as workers_module
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.evaluate import evaluate
 from madviz.measure.workers import Workers, run_jobs
@@ -33,24 +31,6 @@ class Killing(FakePolicy):
 def jobs_for(count, subset="all"):
     policy = "tests.fakes:FakePolicy"
     return [Job(policy, "toy-mad0", Condition(subset), seed) for seed in range(5000, 5000 + count)]
-
-
-def test_held_processes_wait_between_two_decisions_unless_they_are_to_stop(monkeypatch):
-    process = workers_module._Process()
-    process.stop = SimpleNamespace(value=0)
-    process.held = SimpleNamespace(value=time.monotonic() + 60)
-    waited: list[float] = []
-
-    def sleep(seconds):
-        waited.append(seconds)
-        process.held.value = 0.0
-
-    monkeypatch.setattr(workers_module.time, "sleep", sleep)
-    assert not process.stopped() and 59 < waited[0] <= 60
-    assert not process.stopped() and len(waited) == 1
-    process.held.value = time.monotonic() + 60
-    process.stop.value = 1
-    assert process.stopped() and len(waited) == 1
 
 
 def test_a_killed_worker_is_replaced_and_nothing_finished_is_lost():

@@ -174,15 +174,10 @@ def waits() -> str:
     return table(("wait", "imports alone", "now", "before", "ratio"), rows)
 
 
-def beside(name: str) -> str:
-    """The page alone and beside other work, before a change and now, in alternation."""
-    result = read(f"archive/bench/{name}")
-    heads = {
-        "alone": "alone",
-        "with_workers": "beside an evaluation",
-        "with_training": "beside a training",
-    }
-    parts = [part for part in heads if part in result["runs"][0]]
+def priorities() -> str:
+    """The page beside other work, before that had a lower priority and now, in alternation."""
+    result = read("archive/bench/priorities")
+    parts = ("alone", "with_workers", "with_training")
     rows = [
         (
             run["side"],
@@ -190,7 +185,8 @@ def beside(name: str) -> str:
         )
         for run in result["runs"]
     ]
-    return table(("run", *(heads[part] for part in parts)), rows, result["machine"])
+    header = ("run", "alone", "beside an evaluation", "beside a training")
+    return table(header, rows, result["machine"])
 
 
 def class_server() -> str:

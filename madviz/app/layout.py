@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import viser
@@ -46,7 +46,7 @@ from madviz.app.success_rates import SuccessRates
 from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.policies.no_policy import NO_POLICY
-from madviz.session.commands import Command, SetSaliency
+from madviz.session.commands import SetSaliency
 from madviz.session.frame import Frame, NoFrame
 from madviz.session.live_session import LiveSession
 from madviz.session.process import References
@@ -101,7 +101,7 @@ class Panels:
         self._session = session
         self._shared = shared
         self._newest = newest
-        self._send = None if readonly else partial(_sent, session, shared.rates)
+        self._send = None if readonly else session.send
         self._wide = wide
         self._prediction = prediction
         gui = client.gui
@@ -213,9 +213,3 @@ class Panels:
 
     def _explain(self, target: Target | None) -> None:
         self._session.send(SetSaliency(target))
-
-
-def _sent(session: LiveSession, rates: SuccessRates, command: Command) -> None:
-    """Sends what a visitor does; what is measured meanwhile waits for it."""
-    rates.hold()
-    session.send(command)

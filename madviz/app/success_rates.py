@@ -123,11 +123,6 @@ class SuccessRates:
             self._evaluator.forget(visitor)
             self._add((self._key(spec), condition), {}, str(error))
 
-    def hold(self) -> None:
-        """A visitor acts, and measuring waits a moment."""
-        if self._evaluator is not None:
-            self._evaluator.hold()
-
     def forget(self, visitor: Hashable) -> None:
         """This visitor wants nothing measured any more, nor the B that they compare with."""
         if self._evaluator is not None:

@@ -96,6 +96,8 @@ class Tour:
         self._help: Any = None
         self._start: Frame | None = None
         """The settings that a step of the tour has changed, as they were before."""
+        self._left: Frame | NoFrame | None = None
+        """The frame that was shown when the tour ended, and its settings were sent back."""
         self._steps: list[Step] = []
         self._at = 0
         self._acting = ""
@@ -120,7 +122,8 @@ class Tour:
                 self._go()
             return
         # The page still shows what the tour changed, until the simulation has taken it back.
-        start = self._start if self._panel is not None else None
+        coming_back = self._panel is not None or self._newest() is self._left
+        start = self._start if coming_back else None
         self.end()
         if button == COMPARE_BUTTON:
             self._offer(start)
@@ -204,6 +207,7 @@ class Tour:
         if panel is None:
             return
         panel.remove()
+        self._left = self._newest()
         if self._start is not None:
             # First to the newest step: a camera that is touched in the past begins another run.
             compared = any(map(compares, self._steps))

@@ -66,7 +66,7 @@ def unsupported(spec: PolicySpec, mask: Array) -> UserError:
     """The error for a subset ``mask`` (V,) bool that a policy cannot act on."""
     return UserError(
         f"{spec.name} cannot act on {name_of(mask, spec.streams)!r}; "
-        f"it was trained on: {', '.join(spec.trained_subsets)}"
+        f"it was trained on: {', '.join(spec.trained_subsets) or 'none of these'}"
     )
 
 

@@ -32,8 +32,6 @@ from madviz.policies import checkpoint
 
 NICENESS = 15
 """The niceness of worker processes: a visitor's own simulation goes first."""
-HELD = 0.2
-"""Seconds that workers wait when a visitor acts: most switches are seen within them."""
 MOST_REQUESTS = 1000
 """Requests whose episodes are remembered, besides those that are measured now: a slider that is
 dragged makes many. What is stored is read again if somebody comes back to it."""
@@ -140,10 +138,6 @@ class Evaluator:
         """The visitor has left; an episode that is running ends and counts."""
         with self._lock:
             self._wanted.pop(visitor, None)
-
-    def hold(self) -> None:
-        """A visitor acts: the cores are theirs until they have seen what it does."""
-        self._pool.hold(HELD)
 
     def close(self) -> None:
         """Ends the processes; running episodes are abandoned."""

@@ -95,6 +95,9 @@ def carry_out(job: Job, runner: Runner) -> Finished:
     that cannot be written, the episode counts all the same."""
     if not job.kept:
         return runner.run(job)
+    file = _file(job)
+    with suppress(OSError):
+        file.unlink(missing_ok=True)  # A stopped run may have kept one that was not counted.
     film = BytesIO()
     written = Mp4(film, FPS, _KEPT_RATE, REPEATABLE)
     episode, finished = watched(job, runner, shown=written.add)
@@ -106,7 +109,6 @@ def carry_out(job: Job, runner: Runner) -> Finished:
         actions=np.stack(episode.actions),
         success=np.array(episode.success),
     )
-    file = _file(job)
     with suppress(OSError, UserError):
         file.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(file, content.getvalue())

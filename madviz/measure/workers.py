@@ -12,7 +12,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -43,8 +42,6 @@ class Workers:
         self._context = multiprocessing.get_context("spawn")
         # Shared memory without a lock: a worker that is killed cannot leave it locked.
         self._stop = self._context.RawValue("b", 0)
-        self._held = self._context.RawValue("d", 0.0)
-        """Until when the processes wait, in seconds of the system's clock."""
         self._pool: ProcessPoolExecutor | None = None
         self.generation = 0
         """Counts the pools; a job knows from which one it came."""
@@ -53,18 +50,13 @@ class Workers:
         """Starts a job as soon as a process is free. Its result may be BrokenProcessPool."""
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                self.count, self._context, _start, (self._stop, self._held, self._niceness)
+                self.count, self._context, _start, (self._stop, self._niceness)
             )
         try:
             return self._pool.submit(_work, job)
         except BrokenProcessPool:  # It broke since it was last asked.
             self.renew(self.generation)
             return self.submit(job)
-
-    def hold(self, seconds: float) -> None:
-        """Lets every process wait for so long after the decision at hand: somebody else needs the
-        cores at once, and a low priority yields them late."""
-        self._held.value = time.monotonic() + seconds
 
     def renew(self, generation: int) -> None:
         """Forgets the broken pool of ``generation``, unless that has happened already.
@@ -143,10 +135,6 @@ class Pool:
                     self._hand_out(job)
             finally:
                 self._filling = False
-
-    def hold(self, seconds: float) -> None:
-        """Lets the workers wait for so long."""
-        self._workers.hold(seconds)
 
     def forget_deaths(self) -> None:
         """Forgets how often processes died: the next jobs are others."""
@@ -252,27 +240,19 @@ class _Process:
     """The state of a worker process between jobs."""
 
     stop: Any = None
-    held: Any = None
 
     @cached_property
     def runner(self) -> Runner:
-        return Runner(self.stopped)
-
-    def stopped(self) -> bool:
-        """Whether to abandon the episode; waits first, if the processes are held."""
-        while not self.stop.value and (left := self.held.value - time.monotonic()) > 0:
-            time.sleep(left)
-        return bool(self.stop.value)
+        return Runner(lambda: bool(self.stop.value))
 
 
 _process = _Process()
 
 
-def _start(stop: Any, held: Any, niceness: int) -> None:
+def _start(stop: Any, niceness: int) -> None:
     """Runs once in a new process."""
     set_up_worker(niceness)
     _process.stop = stop
-    _process.held = held
 
 
 def _work(job: Job) -> Finished:

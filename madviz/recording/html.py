@@ -170,7 +170,7 @@ def _facts(last: Frame, facts: Facts) -> str:
         "policy": f"{spec.name} (method {spec.method}, setting {spec.setting}, recipe "
         f"{spec.recipe})",
         "digest": spec.digest or "none",
-        "trained to work from": ", ".join(spec.trained_subsets),
+        "trained to work from": ", ".join(spec.trained_subsets) or "none of these",
         "task": f"{last.world.env.task}: {last.world.env.success}",
         "seed": str(last.world.seed),
         "cameras": ", ".join(camera.label for camera in last.world.env.cameras),

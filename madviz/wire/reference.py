@@ -77,11 +77,14 @@ def connect(reference: str) -> ServedPolicy:
         spec = policy_spec(wiring, where, identity)
         supported = None
         if OURS in greeting and wiring.masks:
-            trained, known = subsets_there(_facts(greeting, where), wiring)
+            facts = _facts(greeting, where)
+            trained, known = subsets_there(facts, wiring)
             if not set(known) - {"none"}:
                 raise UserError(
                     f"{where}: expected cameras that this policy can act on, found "
-                    f"{', '.join(wiring.cameras)}; it needs more of them in [cameras]"
+                    f"{', '.join(wiring.cameras)}; it calls its own "
+                    f"{', '.join(map(str, facts.wiring.cameras.values()))!s:.200}, and needs more "
+                    "of them in [cameras]"
                 )
             spec = replace(spec, trained_subsets=tuple(trained))
             supported = frozenset(known)

@@ -79,7 +79,7 @@ def repeats_itself(reference: str, policy: Policy) -> bool:
     if checkpoint.is_folder(unguarded(reference)):
         return True
     streams = policy.spec.streams
-    masks = [mask for mask in every_mask(len(streams))[::-1] if policy.supports(mask)]
+    masks = [mask for mask in every_mask(len(streams)) if policy.supports(mask)]
     if not masks:
         return True
     stack, state = _first_look(policy)
