@@ -65,9 +65,7 @@ def test_a_wire_file_keeps_the_subsets_of_a_policy_of_ours(tmp_path):
         assert fewer.spec.trained_subsets == ("first", "third_a"), "it was not trained on the two"
     with serving(AllOrNothing()) as server:
         file = wiring_file(tmp_path, cameras='{ first = "first", third_a = "third_a" }')
-        with pytest.raises(
-            UserError, match="its own first, third_a, third_b, and needs"
-        ):
+        with pytest.raises(UserError, match="its own first, third_a, third_b, and needs"):
             load_policy(f"{server.address}#wire={file}")
         every = '{ first = ["first"], third_a = "third_a", third_b = "third_b" }'
         policy = load_policy(f"{server.address}#wire={wiring_file(tmp_path, cameras=every)}")
