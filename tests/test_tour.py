@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import viser
@@ -273,9 +274,8 @@ def test_a_button_does_what_it_says_whatever_is_open(table: Table, server: viser
     assert buttons(client) == ["next step", "explore one policy"]
 
 
-def test_the_comparison_begins_where_the_tour_shows_another_policy(
-    table: Table, server: viser.ViserServer
-):
+def at_another_policy(table: Table, server: viser.ViserServer) -> tuple[Any, Tour]:
+    """A browser whose tour has gone on to the policy that learned with all cameras only."""
     client = browser(server)
     tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
     tour.begin()
@@ -283,6 +283,13 @@ def test_the_comparison_begins_where_the_tour_shows_another_policy(
         tour.next()
         table.tick()
     assert table.frame.world.policy.name == "toy-merged-only-light"
+    return client, tour
+
+
+def test_the_comparison_begins_where_the_tour_shows_another_policy(
+    table: Table, server: viser.ViserServer
+):
+    client, _ = at_another_policy(table, server)
     use(client.gui.find("New?"), "compare")
     frame = table.tick()
     assert frame.world.policy.name == "toy-mad-light" and frame.second is not None
@@ -295,12 +302,7 @@ def test_the_comparison_begins_where_the_tour_shows_another_policy(
 def test_the_comparison_begins_while_the_tour_is_taken_back(
     table: Table, server: viser.ViserServer
 ):
-    client = browser(server)
-    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
-    tour.begin()
-    while "Another policy" not in client.gui.html:
-        tour.next()
-        table.tick()
+    client, tour = at_another_policy(table, server)
     tour.end()
     use(client.gui.find("New?"), "compare")
     frame = table.tick()
