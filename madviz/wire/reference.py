@@ -83,7 +83,7 @@ def connect(reference: str) -> ServedPolicy:
                 raise UserError(
                     f"{where}: expected cameras that this policy can act on, found "
                     f"{', '.join(wiring.cameras)}; it calls its own "
-                    f"{', '.join(map(str, facts.wiring.cameras.values()))!s:.200}, and needs more "
+                    f"{', '.join(map(str, facts.wiring.cameras.values())):.200}, and needs more "
                     "of them in [cameras]"
                 )
             spec = replace(spec, trained_subsets=tuple(trained))

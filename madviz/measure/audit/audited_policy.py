@@ -74,8 +74,9 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
 
 
 def repeats_itself(reference: str, policy: Policy) -> bool:
-    """True for a policy folder, and for a policy whose first two actions come again in a second
-    episode of the same seed and looks."""
+    """True for a policy folder, and for a policy whose first two actions (A,) differ by less than
+    ``SAME`` in a second episode of the same seed and looks. It is asked with all cameras, or with
+    a subset that it supports."""
     if checkpoint.is_folder(unguarded(reference)):
         return True
     streams = policy.spec.streams
