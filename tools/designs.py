@@ -88,7 +88,8 @@ def crossed(out: Path, tasks: Sequence[str] = TASKS) -> None:
     table = ROOT / "results" / "crossed.csv"
     for task, seed, level in itertools.product(tasks, SEEDS, LEVELS):
         folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
-        left = [loss for loss in LOSSES if (task, level, seed, *loss) not in done(table)]
+        losses = [loss for loss in LOSSES if level == "turns" or not loss.camera]
+        left = [loss for loss in losses if (task, level, seed, *loss) not in done(table)]
         for loss in left:
             recorded = folder / RECORDS.name
             if loss != RECORDS and not (recorded / "resume" / "finished").exists():
