@@ -3,7 +3,7 @@
     python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
     python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
 
-With a task as the last word it makes this one's runs alone. Each evaluated training becomes rows of
+With a task or training seeds as the last words it makes these runs alone. Each evaluated training becomes rows of
 results/NAME.csv at once, so a command that was stopped goes on where it was. In *crossed*, for each
 task, training seed and level of episodes, one MAD run records, and every loss learns from its
 episodes. Their folder, with weights and 0.7 GB of episodes, is removed after the last training; the
@@ -83,10 +83,10 @@ class Row(NamedTuple):
     at_any_step: str
 
 
-def crossed(out: Path, tasks: Sequence[str] = TASKS) -> None:
+def crossed(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:
     """*Loss and episodes*."""
     table = ROOT / "results" / "crossed.csv"
-    for task, seed, level in itertools.product(tasks, SEEDS, LEVELS):
+    for task, seed, level in itertools.product(tasks or TASKS, seeds or SEEDS, LEVELS):
         folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
         losses = [loss for loss in LOSSES if level == "turns" or not loss.camera]
         left = [loss for loss in losses if (task, level, seed, *loss) not in done(table)]
@@ -101,10 +101,11 @@ def crossed(out: Path, tasks: Sequence[str] = TASKS) -> None:
             shutil.rmtree(folder)
 
 
-def rewards(out: Path, tasks: Sequence[str] = ("toy/reach",)) -> None:
+def rewards(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:
     """*Reinforcement learning*, the part on toy/reach."""
     table = ROOT / "results" / "rewards.csv"
-    for task, seed, loss in itertools.product(tasks, range(1, 6), FROM_REWARDS):
+    runs = itertools.product(tasks or ["toy/reach"], seeds or range(1, 6), FROM_REWARDS)
+    for task, seed, loss in runs:
         place = (task, "its own", seed)
         if (*place, *loss) in done(table):
             continue
@@ -171,8 +172,9 @@ DESIGNS = {"crossed": crossed, "rewards": rewards}
 
 
 def main(words: Sequence[str]) -> None:
-    name, out, *tasks = words
-    DESIGNS[name](Path(out), *([tasks] if tasks else []))
+    name, out, *chosen = words
+    tasks = [word for word in chosen if not word.isdigit()]
+    DESIGNS[name](Path(out), tasks, [int(word) for word in chosen if word.isdigit()])
 
 
 if __name__ == "__main__":
