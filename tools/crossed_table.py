@@ -44,19 +44,29 @@ def comparisons(alpha: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def crossed() -> str:
-    """The design's outcomes; before all of its trainings are there, how many are."""
+    """The outcomes of the complete tasks; of the others, how many trainings there are."""
     wanted = DESIGNS[FILE.name].trainings
-    found = finished(FILE) if FILE.exists() else 0
-    if found < wanted:
-        return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
-    alone = _compared("on a single camera", ALONE, list(comparisons(ALPHAS[0])))
-    together = _compared("with all cameras", ("all",), list(comparisons(ALPHAS[0]))[:-1])
-    return f"{alone}\n{together}"
+    found = finished(FILE) if FILE.exists() else {}
+    counts = {task: found.get(task, 0) for task in TASKS}
+    complete = [task for task, count in counts.items() if count >= wanted]
+    blocks = [
+        f"{task.split('/')[1]}: {count} of {wanted} trainings are finished; nothing is said before "
+        "all are.\n"
+        for task, count in counts.items()
+        if count < wanted
+    ]
+    if complete:
+        names = list(comparisons(ALPHAS[0]))
+        blocks.append(_compared("on a single camera", complete, ALONE, names))
+        blocks.append(_compared("with all cameras", complete, ("all",), names[:-1]))
+    return "\n".join(blocks)
 
 
-def _compared(title: str, columns: tuple[str, ...], names: Sequence[str]) -> str:
-    """The comparisons ``names`` on the mean of ``columns``."""
-    places = [(task, alpha) for task in TASKS for alpha in ALPHAS]
+def _compared(
+    title: str, tasks: Sequence[str], columns: tuple[str, ...], names: Sequence[str]
+) -> str:
+    """The comparisons ``names`` on the mean of ``columns``, for each of ``tasks``."""
+    places = [(task, alpha) for task in tasks for alpha in ALPHAS]
     header = [title, *(f"{task.split('/')[1]}, {alpha}" for task, alpha in places)]
     tables = design_tables(FILE.parent)
     lines = []
@@ -67,15 +77,18 @@ def _compared(title: str, columns: tuple[str, ...], names: Sequence[str]) -> str
 
 
 def crossed_figure() -> str:
-    """SVG text: success on a single camera by loss and recorded episodes; '' before the end."""
+    """SVG text: success on a single camera by loss and recorded episodes, for the complete tasks;
+    '' before there is one."""
     tables = [one for one in design_tables(FILE.parent) if one.layout.key == "crossed"]
     rows = {(task, row.label): row for one in tables for task, row in one.rows}
     if not rows:
         return ""
-    labels = [f"{NAMES[loss]} ({task.split('/')[1]})" for task in TASKS for loss in NAMES]
+    places = [(task, loss) for task in TASKS for loss in NAMES if (task, f"{loss}, turns") in rows]
+    labels = [f"{NAMES[loss]} ({task.split('/')[1]})" for task, loss in places]
     series: dict[str, list[Bar | None]] = {}
     for level in LEVELS:
-        means = [rows[task, f"{loss}, {level}"].mean(ALONE) for task in TASKS for loss in NAMES]
+        present = [rows.get((task, f"{loss}, {level}")) for task, loss in places]
+        means = [row and row.mean(ALONE) for row in present]
         series[level] = [Bar(mean.value, *mean.interval) if mean else None for mean in means]
     return dots("Success on a single camera, by loss and recorded episodes", labels, series)
 

@@ -3,11 +3,12 @@
     python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
     python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
 
-With a task or training seeds as the last words it makes these runs alone. Each evaluated training becomes rows of
-results/NAME.csv at once, so a command that was stopped goes on where it was. In *crossed*, for each
-task, training seed and level of episodes, one MAD run records, and every loss learns from its
-episodes. Their folder, with weights and 0.7 GB of episodes, is removed after the last training; the
-CSV is all that stays.
+With a task or training seeds as the last words it makes these runs alone. Each evaluated training
+becomes rows of results/NAME.csv at once, so a command that was stopped goes on where it was. In
+*crossed*, for each task, training seed and level of episodes, one MAD run records, and every loss
+learns from its episodes. Their actions are in results/crossed until the last training is evaluated,
+so that another machine can go on with the same episodes. The folder of the runs, with weights and
+0.7 GB of episodes, is removed then, too; the CSV is all that stays.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from policy_files import ROOT
+from recorded_actions import keep, play_again
+
+from madviz.policies.checkpoint import CONFIG
 
 TASKS = ("metaworld/push", "maniskill/push-cube")
 LEVELS = ("turns", "all")
@@ -87,18 +91,24 @@ def crossed(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:
     """*Loss and episodes*."""
     table = ROOT / "results" / "crossed.csv"
     for task, seed, level in itertools.product(tasks or TASKS, seeds or SEEDS, LEVELS):
-        folder = out / f"{task.replace('/', '-')}-{level}-seed{seed}"
+        name = f"{task.replace('/', '-')}-{level}-seed{seed}"
+        folder, actions = out / name, table.with_suffix("") / name
         losses = [loss for loss in LOSSES if level == "turns" or not loss.camera]
         left = [loss for loss in losses if (task, level, seed, *loss) not in done(table)]
         for loss in left:
             recorded = folder / RECORDS.name
-            if loss != RECORDS and not (recorded / "resume" / "finished").exists():
-                _train(recorded, task, seed, RECORDS, _imitation(RECORDS, _recording(level)))
-            options = _recording(level) if loss == RECORDS else ["--light.episodes", str(recorded)]
+            options = _recording(level)
+            if loss != RECORDS:
+                if not (recorded / CONFIG).exists():
+                    play_again(actions, recorded, seed)
+                options = ["--light.episodes", str(recorded)]
             _train(folder / loss.name, task, seed, loss, _imitation(loss, options))
-            _add(table, _evaluated(folder / loss.name, (task, level, seed), loss, 50))
-        if folder.exists():
-            shutil.rmtree(folder)
+            rows = _evaluated(folder / loss.name, (task, level, seed), loss, 50)
+            if loss == RECORDS:
+                keep(recorded, actions)
+            _add(table, rows)
+        for done_with in (folder, actions):
+            shutil.rmtree(done_with, ignore_errors=True)
 
 
 def rewards(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:

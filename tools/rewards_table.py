@@ -24,7 +24,7 @@ def rewards() -> str:
     """The design's outcomes; before all of its trainings are there, how many are."""
     file = ROOT / "results" / "rewards.csv"
     wanted = DESIGNS[file.name].trainings
-    if (found := finished(file)) < wanted:
+    if (found := finished(file).total()) < wanted:
         return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
     last, ever = (
         {row.label: row for _, row in read_rows(file, outcome)}

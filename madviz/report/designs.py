@@ -6,12 +6,13 @@ A line is one subset of one training, with a digit for each evaluated episode, 1
 
 *episodes* is the recorded set that was learned from, and *seed* that of the training. ``camera`` is
 that of Single Camera, whose *all* is this camera; the other methods have all cameras and each one
-alone. Nothing is said of a design before all its trainings are there.
+alone. Nothing is said of a task before all trainings that its design asks for are there.
 """
 
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,12 +32,12 @@ COLUMNS = [*TRAINING, "subset", "first_seed", "at_last_step", "at_any_step"]
 
 @dataclass(frozen=True)
 class Design:
-    """A file of outcomes: its table, and when it is complete."""
+    """A file of outcomes: its table, and when a task of it is complete."""
 
     layout: Layout
     imitation: bool
     trainings: int
-    """All that it asks for."""
+    """For each task."""
     label: Callable[[Line], str]
     """The row that a line belongs to."""
 
@@ -53,34 +54,38 @@ def _layout(key: str) -> Layout:
 
 DESIGNS = {
     "rewards.csv": Design(_layout("rewards"), False, 25, lambda line: line["method"]),
-    "crossed.csv": Design(_layout("crossed"), True, 84, _loss),
+    "crossed.csv": Design(_layout("crossed"), True, 33, _loss),
 }
 """By the name of a file; results/designs.md says what each is for."""
 
 
 def design_tables(folder: Path) -> list[ResultTable]:
-    """The tables of the complete designs that have a file in ``folder``, by success at the last
-    step. Raises UserError for a file with other columns or outcomes."""
+    """The tables of the complete tasks of every design that has a file in ``folder``, by success at
+    the last step. Raises UserError for a file with other columns or outcomes."""
     tables = []
     for name, design in DESIGNS.items():
         file = folder / name
-        if file.is_file() and finished(file) >= design.trainings:
-            rows = read_rows(file, "at_last_step")
-            for suite in sorted({task.split("/")[0] for task, _ in rows}):
-                mine = tuple(pair for pair in rows if pair[0].startswith(f"{suite}/"))
-                imitation = design.imitation
-                tables.append(ResultTable(design.layout, suite, THREE, mine, (), imitation))
+        if not file.is_file():
+            continue
+        complete = [task for task, count in finished(file).items() if count >= design.trainings]
+        rows = read_rows(file, "at_last_step")
+        for suite in sorted({task.split("/")[0] for task in complete}):
+            mine = tuple((t, row) for t, row in rows if t in complete and t.startswith(f"{suite}/"))
+            imitation = design.imitation
+            tables.append(ResultTable(design.layout, suite, THREE, mine, (), imitation))
     return tables
 
 
-def finished(file: Path) -> int:
-    """How many trainings have all their outcomes in ``file``. Raises UserError."""
+def finished(file: Path) -> Counter[str]:
+    """By task, how many trainings have all their outcomes in ``file``. Raises UserError."""
     subsets: dict[tuple[str, ...], set[str]] = {}
     for line in _lines(file):
         training = tuple(line[word] for word in TRAINING)
         subsets.setdefault(training, set()).add(line["subset"])
     wanted = ({*THREE}, {"all"})  # Without a camera of its own, and with one.
-    return sum(found == wanted[bool(training[-1])] for training, found in subsets.items())
+    return Counter(
+        training[0] for training, found in subsets.items() if found == wanted[bool(training[-1])]
+    )
 
 
 def read_rows(file: Path, outcome: Outcome) -> list[tuple[str, Row]]:
