@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.doctor import check_vulkan
 from madviz.envs import decimation
-from madviz.envs.maniskill import meshes, vulkan
+from madviz.envs.maniskill import meshes, render, vulkan
 from madviz.envs.maniskill.environment import ManiSkill, cameras_of
 from madviz.envs.maniskill.tasks import position
 from madviz.envs.registry import MANISKILL_TASKS, SETTINGS, make_env, setting_cameras
@@ -269,6 +270,55 @@ def test_what_was_decimated_once_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setattr(meshes, "decimate", None)
     again = meshes.lighter(mesh, textured=False)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+
+
+def test_a_file_that_was_made_lighter_is_not_loaded_again(
+    push: ManiSkill, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded: list[str] = []
+    real = meshes.lighter
+
+    def watched(mesh: meshes.Mesh, textured: bool, file: str) -> meshes.Mesh:
+        loaded.append(Path(file).name)
+        return real(mesh, textured, file)
+
+    monkeypatch.setattr(meshes, "lighter", watched)
+    pictures = []
+    for built in (nullcontext, meshes.light_files):
+        monkeypatch.setattr(render, "light_files", built)
+        loaded.clear()
+        env = ManiSkill("push-cube")
+        env.reset(0)
+        pictures.append(env.view("first").rgb)
+        env.close()
+        assert ("d415.stl" in loaded) == (built is nullcontext) and "link1.glb" in loaded
+    assert np.array_equal(*pictures)
+
+
+def test_only_the_thread_that_builds_gets_light_files(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from sapien.pysapien import render as loaders
+
+    class Stock:
+        def __init__(self, *given: object) -> None:
+            self.given = given
+
+    light = ("vertices", "triangles", "normals", "uvs")
+    monkeypatch.setattr(loaders, "RenderShapeTriangleMesh", Stock)
+    monkeypatch.setattr(meshes, "_cached", lambda path: light)
+    file = tmp_path / "housing.stl"
+    file.touch()
+
+    def made(*given: object) -> tuple[object, ...]:
+        return loaders.RenderShapeTriangleMesh(*given).given  # type: ignore[attr-defined]
+
+    words = (str(file), (1, 1, 1), "material")
+    with meshes.light_files(), ThreadPoolExecutor(1) as other:
+        assert made(*words) == (*light, "material")
+        assert made(str(file), (1, 1, 1), None) == (str(file), (1, 1, 1), None), "its own material"
+        assert other.submit(made, *words).result() == words
+    assert made(*words) == words
 
 
 def test_without_vulkan_one_sentence_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,13 +17,14 @@ The profiles share all of this. ``fast`` draws lighter meshes, ``full`` the stoc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.checks import check_size, largest_view
-from madviz.envs.maniskill.meshes import lighten
+from madviz.envs.maniskill.meshes import light_files, lighten
 from madviz.envs.maniskill.sapien_bodies import ManiSkillBodies
 from madviz.envs.maniskill.shaders import STOCK, shader_pack
 from madviz.envs.maniskill.tasks import build
@@ -39,7 +40,8 @@ class DrawnCopy:
 
     def __init__(self, task: str, render_profile: str) -> None:
         self._largest = largest_view(render_profile)
-        self._copy: Any = build(task, render_backend="cpu")
+        with light_files() if render_profile == "fast" else nullcontext():
+            self._copy: Any = build(task, render_backend="cpu")
         self._scene: Any = self._copy.scene.sub_scenes[0]
         for hidden in self._copy._hidden_objects:  # PickCube's goal is not for policies to see.
             hidden.hide_visual()

@@ -16,7 +16,7 @@ import numpy as np
 
 from madviz.envs import shapes
 from madviz.envs.decimation import ENOUGH, TRIANGLES
-from madviz.envs.maniskill.meshes import lighter
+from madviz.envs.maniskill.meshes import file_of, lighter
 from madviz.types import Array, Body, Part
 
 WIDE = 5.0
@@ -60,7 +60,7 @@ def _parts(shape: Any, layer: int) -> list[Part]:
         triangles = piece.triangles
         if len(triangles) > ENOUGH * TRIANGLES and not textured:
             mesh = (vertices, triangles, piece.get_vertex_normal(), piece.get_vertex_uv())
-            vertices, triangles, *_ = lighter(mesh, textured)
+            vertices, triangles, *_ = lighter(mesh, textured, file_of(shape))
         sized = np.asarray(vertices, float) * _scale(shape, layer)
         if np.ptp(sized, axis=0).max() < WIDE:
             solid = (sized, np.asarray(triangles, np.int32))
