@@ -5,22 +5,27 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from websockets.sync.server import ServerConnection
 
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.recorded.films import letterboxed
-from madviz.recorded.known import VARIABLE, allow_recording
+from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
 from madviz.recorded.recordings import open_recordings
+from madviz.recorded.robot import robot_of
 from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.serving.serve import PolicyServer
 from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
+from madviz.wire.reference import with_wire
 from tests.recordings import TOP, Small
+from tests.wires import foreign_server, wiring_file
 
 FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
 
@@ -70,9 +75,13 @@ def test_the_robots_pictures_and_numbers_are_scaled_where_the_policy_is_served(
 def test_a_picture_of_another_aspect_is_refused(trained: tuple[Path, Path]) -> None:
     policy = load_policy(trained[1])
     episodes = ServedEpisodes(policy, 3, robot_of_policy(str(trained[1])))
-    images = {"top": np.zeros((64, 64, 3), np.uint8)}
-    with pytest.raises(BadLook, match="'top' as 48 by 64 pixels, as it was recorded"):
-        episodes.act(images, np.zeros(3))
+    squashed = np.full((84, 84, 3), 9, np.uint8)
+    for picture in (np.zeros((64, 64, 3), np.uint8), squashed):
+        with pytest.raises(BadLook, match="'top' as 48 by 64 pixels, as it was recorded"):
+            episodes.act({"top": picture}, np.zeros(3))
+    boxed = letterboxed(squashed[:63], 84)
+    assert not np.array_equal(boxed, squashed)
+    episodes.act({"top": boxed}, np.zeros(3))
 
 
 def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) -> None:
@@ -83,13 +92,51 @@ def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) 
     try:
         served = load_policy(server.address)
         rng = np.random.default_rng(0)
-        views = rng.integers(0, 255, (2, 9, 84, 84), np.uint8)
+        shots = [rng.integers(0, 255, (48, 64, 3), np.uint8), np.ones((64, 48, 3), np.uint8)]
+        boxed = [letterboxed(shot, 84).transpose(2, 0, 1) for shot in shots]
+        views = np.stack([np.concatenate([one] * 3) for one in boxed])  # (V, 9, 84, 84)
         state = np.array([0.1, -0.4, 0.9], np.float32)
         masks = np.array([[True, True], [False, True]])
         here, there = (each.read(each.encode(views, state), masks) for each in (policy, served))
         assert np.allclose(here.action, there.action, atol=1e-4)
     finally:
         server.close()
+
+
+def test_another_programs_policy_gets_pictures_as_they_were_recorded(
+    trained: tuple[Path, Path], tmp_path: Path
+) -> None:
+    looks: list[dict[str, Any]] = []
+
+    def answer(look: dict[str, Any], connection: ServerConnection) -> dict[str, Any]:
+        looks.append(look)
+        return {"actions": look["state"] + [0.25, 0, 0]}
+
+    file = {
+        "task": f'"{allow_recording(trained[0])}"',
+        "size": "{ top = [24, 32], wrist = 32 }",
+        "cameras": '{ top = "top", wrist = "wrist" }',
+        "absolute": "{ state = [0, 1, 2], step = 1.0 }",
+    }
+    with foreign_server(answer, "openpi") as address:
+        served = load_policy(with_wire(address, wiring_file(tmp_path, **file)))
+        size = served.spec.image_size
+        shots = [np.full(shape, 200, np.uint8) for shape in ((48, 64, 3), (64, 48, 3))]
+        views = np.stack([letterboxed(shot, size).transpose(2, 0, 1) for shot in shots])
+        robot = robot_of(recordings_of(served.spec.task))
+        raw = (np.array(robot.states.low) + np.array(robot.states.high)) / 2
+        encoded = served.encode(views, robot.states.scale(raw.astype(np.float32)))
+        action = served.read(encoded, np.ones((1, 2), bool)).action[0]
+    assert size == 32 and looks[0]["top"].shape == (24, 32, 3)
+    assert (looks[0]["top"] == 200).all(), "no bars"
+    assert (looks[0]["wrist"][:, 4:28] == 200).all() and not looks[0]["wrist"][:, :4].any()
+    assert np.allclose(looks[0]["state"], raw, atol=1e-5)
+    low, high = np.array(robot.actions.low), np.array(robot.actions.high)
+    expected = 2 * (np.array([0.25, 0, 0]) - low) / (high - low) - 1
+    assert np.allclose(action, expected, atol=1e-5), "a step from the raw state"
+    wrong = with_wire(address, wiring_file(tmp_path, **{**file, "size": "[24, 32]"}))
+    with pytest.raises(UserError, match="the size of 'wrist' to be a square"):
+        load_policy(wrong)
 
 
 def test_a_dry_run_says_rate_jump_and_what_was_out_of_range(trained: tuple[Path, Path]) -> None:

@@ -19,6 +19,7 @@ from madviz.examples.own_policy import Finder
 from madviz.measure.evaluate import evaluate
 from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
+from madviz.serving.episodes import ServedEpisodes
 from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve
 from madviz.session.commands import Fork, Scrub, SetCamera
 from madviz.types import Encoded, Policy, TakesPictures
@@ -288,6 +289,37 @@ def test_a_look_of_openpi_that_may_be_of_any_episode_is_refused(make, changed, s
         sent = {**look()["images"], "state": np.zeros(6, np.float32), **changed}
         socket.send(pack(sent, "openpi"))
         pytest.raises(UserError, _raise, str(socket.recv(5))).match(said)
+
+
+def test_a_picture_under_a_name_that_no_camera_has_is_refused():
+    with serving(FakePolicy()) as server, connect(server.address) as socket:
+        socket.recv(5)
+        pictures = {"fisrt": np.zeros((84, 84, 3), np.uint8), **look()["images"]}
+        del pictures["first"]
+        socket.send(pack({**pictures, "state": np.zeros(6, np.float32), "episode": 1}, "openpi"))
+        assert "expected pictures of first, third_a, third_b, found 'fisrt'" in str(socket.recv(5))
+
+
+class Seen(FakePolicy):
+    """Takes three frames, and keeps what arrived."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.spec = replace(self.spec, image_size=84, frame_stack=3)
+
+    def encode(self, views, state):
+        self.views = views
+        return super().encode(views, state)
+
+
+def test_a_camera_that_comes_back_has_no_black_frame_among_its_last_three():
+    policy = Seen()
+    episodes = ServedEpisodes(policy, 6)
+    white = dict.fromkeys(policy.spec.streams, np.full((84, 84, 3), 255, np.uint8))
+    for images in (white, {name: white[name] for name in ("third_a", "third_b")}, white):
+        episodes.act(images, np.zeros(6))
+        assert (policy.views == 255).all() == ("first" in images)
+    assert policy.views.shape == (3, 9, 84, 84)
 
 
 def test_a_look_that_holds_all_frames_needs_no_episode():

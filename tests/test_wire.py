@@ -182,6 +182,25 @@ def test_pictures_state_and_words_arrive_under_their_names(protocol, tmp_path):
     assert noise[:13] == noise[13:] == [noise_at(7, step) for step in range(0, 25, 2)]
 
 
+def test_what_was_read_before_changes_no_noise_of_an_episode(tmp_path):
+    noise: list[int] = []
+
+    def answer(look: dict[str, Any], connection: ServerConnection) -> dict[str, Any]:
+        noise.append(look["noise"])
+        return {"actions": np.zeros(2)}
+
+    with foreign_server(answer, "openpi") as address:
+        policy = load_policy(wired(address, tmp_path, noise='"noise"'))
+        player = policy.reset(7)  # type: ignore[attr-defined]
+        mask = np.ones(2, bool)
+        for _ in range(2):
+            encoded = policy.encode(np.zeros((2, 3, 84, 84), np.uint8), np.zeros(6, np.float32))
+            policy.read(encoded, mask)
+            player.act(encoded, mask)
+        player.close()
+    assert noise == [0, noise_at(7, 0), 0, noise_at(7, 1)]
+
+
 def test_a_picture_that_is_no_square_stands_between_black_bars(tmp_path):
     looks: list[dict[str, Any]] = []
 

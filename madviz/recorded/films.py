@@ -110,16 +110,31 @@ def table_pictures(
 def letterboxed(picture: Array, size: int) -> Array:
     """(H, W, 3) -> (size, size, 3): its longer side fits, the rest is black; never squashed."""
     height, width = picture.shape[:2]
+    rows, columns = between_bars(height, width, size)
+    way = cv2.INTER_AREA if size < max(height, width) else cv2.INTER_LINEAR
+    shape = (columns.stop - columns.start, rows.stop - rows.start)
+    whole = np.zeros((size, size, 3), np.uint8)
+    whole[rows, columns] = cv2.resize(picture, shape, interpolation=way)
+    return whole
+
+
+def between_bars(height: int, width: int, size: int) -> tuple[slice, slice]:
+    """Rows and columns of a ``letterboxed`` picture that show the camera's ``height`` by
+    ``width``."""
     scale = size / max(height, width)
     rows = max(1, round(height * scale))
     columns = max(1, round(width * scale))
-    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    small = cv2.resize(picture, (columns, rows), interpolation=way)
-    whole = np.zeros((size, size, 3), np.uint8)
     top = (size - rows) // 2
     left = (size - columns) // 2
-    whole[top : top + rows, left : left + columns] = small
-    return whole
+    return slice(top, top + rows), slice(left, left + columns)
+
+
+def has_bars(picture: Array, height: int, width: int) -> bool:
+    """True for a square ``picture`` (S, S, C) that is black where ``letterboxed`` makes the bars of
+    a camera of ``height`` by ``width``."""
+    outside = np.ones(picture.shape[:2], bool)
+    outside[between_bars(height, width, len(picture))] = False
+    return not picture[outside].any()
 
 
 def _picture(content: bytes, camera: RecordedCamera, path: Path) -> Array:

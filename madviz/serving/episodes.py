@@ -23,7 +23,7 @@ import numpy as np
 
 from madviz.guard.policy import GuardedPlayer
 from madviz.policies.players import player_of
-from madviz.recorded.films import letterboxed
+from madviz.recorded.films import has_bars, letterboxed
 from madviz.recorded.robot import Robot, RobotCamera
 from madviz.subsets import name_of
 from madviz.types import Array, Player, Policy, PolicyWithMemory, TakesPictures
@@ -117,13 +117,14 @@ class ServedEpisodes:
         self._player = None
 
     def _stack(self, stream: str, picture: Any) -> Array:
-        """(3 x frames, H, W) uint8, the oldest frame first; black where nothing was sent."""
+        """(3 x frames, H, W) uint8, the oldest frame first; black where nothing was sent. After a
+        gap it begins anew, as an episode does."""
         size = self._spec.image_size
         frames = self._spec.frame_stack
         if picture is None:
-            newest = np.zeros((3, size, size), np.uint8)
-        else:
-            newest = self._picture(stream, picture, (size, size)).transpose(2, 0, 1)
+            self._frames.pop(stream, None)
+            return np.zeros((3 * frames, size, size), np.uint8)
+        newest = self._picture(stream, picture, (size, size)).transpose(2, 0, 1)
         if len(newest) == 3 * frames:
             past = [newest]
         else:
@@ -144,8 +145,11 @@ class ServedEpisodes:
                 f"expected {stream!r} as (H, W, {depths}) uint8, {height} by {width}, "
                 f"found {what:.60}"
             )
-        if self._robot is not None and shape[:2] != wanted:
-            return _boxed(picture, self._robot.camera(stream), height)
+        if self._robot is not None:
+            camera = self._robot.camera(stream)
+            if shape[:2] == wanted and has_bars(picture, camera.height, camera.width):
+                return picture
+            return _boxed(picture, camera, height)
         if shape[0] * width != shape[1] * height:
             other = "square" if height == width else "size of that aspect"
             raise BadLook(
@@ -174,7 +178,7 @@ class ServedEpisodes:
 
 def _boxed(picture: Array, camera: RobotCamera, size: int) -> Array:
     """(H, W, C) -> (size, size, C) with black bars, as in training. Raises BadLook where the aspect
-    is not that of ``camera``."""
+    is not that of ``camera``: a picture that was squashed is another one."""
     height, width = picture.shape[:2]
     if height * camera.width != width * camera.height:
         raise BadLook(

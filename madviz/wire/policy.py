@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from madviz.errors import UserError
+from madviz.recorded.films import between_bars
 from madviz.recorded.known import is_recording, recordings_of
 from madviz.recorded.robot import robot_of
 from madviz.subsets import camera_of, modality_of, name_of
@@ -84,7 +85,12 @@ class ServedPolicy:
         """(V, C, H, W) to pictures, each in its own size. There are no features."""
         pictures = {}
         for stream, view in zip(self.spec.streams, views, strict=True):
-            picture = _sized(view, self.wiring.shape_of(stream), self.wiring.stretch)
+            picture = np.ascontiguousarray(view.transpose(1, 2, 0))  # (S, S, C)
+            shape = self.wiring.shape_of(stream)
+            if self._robot is not None and shape[0] != shape[1]:
+                camera = self._robot.camera(camera_of(stream))
+                picture = picture[between_bars(camera.height, camera.width, len(picture))]
+            picture = _sized(picture, shape, self.wiring.stretch)
             colour = modality_of(stream) != "depth"
             pictures[stream] = self.wiring.sent_picture(picture, camera_of(stream), colour)
         state = np.asarray(state, np.float32)
@@ -122,7 +128,8 @@ class ServedPolicy:
 
     def own_action(self, answer: Array, state: Array) -> Array:
         """A row (A,) of an answer as the task's action (A,), before it is clipped; ``state`` (S,)
-        is the one it acts in."""
+        is the one it acts in, as ``encode`` took it."""
+        state = state if self._robot is None else self._robot.states.unscale(state)
         action = self.wiring.own_action(answer, state, self._env)
         return self._robot.actions.scale(action) if self._robot else action
 
@@ -232,7 +239,8 @@ class ServedPlayer:
 
     def _answer(self, encoded: Encoded, mask: Array) -> Array:
         policy = self._policy
-        known = encoded.private.answers.get(mask.tobytes()) if policy.stateless else None
+        same = policy.stateless and not policy.wiring.noise  # Answers to ``read`` had noise 0.
+        known = encoded.private.answers.get(mask.tobytes()) if same else None
         if known is not None:
             return known
         if self._speaker is None or not self._connection.is_open:
@@ -257,12 +265,12 @@ def noise_at(seed: int, step: int) -> int:
     return int(np.random.SeedSequence([seed, step]).generate_state(1)[0] >> 1)
 
 
-def _sized(view: Array, shape: tuple[int, int], stretch: bool) -> Array:
-    """A square (C, S, S) -> (H, W, C), ``shape`` being H and W: the largest square that fits, and
+def _sized(picture: Array, shape: tuple[int, int], stretch: bool) -> Array:
+    """(h, w, C) -> (H, W, C), ``shape`` being H and W: the largest of its aspect that fits, and
     equal black bars beside it; or, with ``stretch``, all of ``shape``."""
-    picture = np.ascontiguousarray(view.transpose(1, 2, 0))  # (S, S, C)
-    side = min(shape)
-    target = shape if stretch else (side, side)
+    height, width = picture.shape[:2]
+    scale = min(shape[0] / height, shape[1] / width)
+    target = shape if stretch else (round(height * scale), round(width * scale))
     if picture.shape[:2] != target:
         frames = [picture[..., i : i + 3] for i in range(0, picture.shape[-1], 3)]
         sized = [cv2.resize(frame, target[::-1], interpolation=cv2.INTER_AREA) for frame in frames]
@@ -270,7 +278,7 @@ def _sized(view: Array, shape: tuple[int, int], stretch: bool) -> Array:
     if shape == target:
         return picture
     boxed = np.zeros((*shape, picture.shape[-1]), np.uint8)  # (H, W, C)
-    top = (shape[0] - side) // 2
-    left = (shape[1] - side) // 2
-    boxed[top : top + side, left : left + side] = picture
+    top = (shape[0] - target[0]) // 2
+    left = (shape[1] - target[1]) // 2
+    boxed[top : top + target[0], left : left + target[1]] = picture
     return boxed

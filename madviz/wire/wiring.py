@@ -34,6 +34,8 @@ from msgspec import Meta
 from madviz.envs.checks import MAX_SIZE, check_size
 from madviz.envs.registry import choose, env_spec
 from madviz.errors import UserError, unknown
+from madviz.recorded.known import is_recording, recordings_of
+from madviz.recorded.robot import robot_of
 from madviz.subsets import camera_of, every_mask, mask_of, name_of
 from madviz.system.typed import typed
 from madviz.types import (
@@ -104,8 +106,10 @@ class Wiring(Conventions, kw_only=True, frozen=True, forbid_unknown_fields=True)
 
     @property
     def largest(self) -> int:
-        """Rows and columns with which all cameras are drawn: enough for the largest picture."""
-        return max(min(self.shape_of(stream)) for stream in self.streams)
+        """Rows and columns with which all cameras are drawn: enough for the largest picture, which
+        need not be a square where it was recorded."""
+        side = max if is_recording(self.task) else min
+        return max(side(self.shape_of(stream)) for stream in self.streams)
 
     def paths(self, protocol: Protocol) -> dict[str, KeyPath]:
         """By entry of the file, where its value stands in a look."""
@@ -159,7 +163,8 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
         if isinstance(wiring.size, dict) and camera not in wiring.size:
             raise UserError(f"{where}: expected 'size.{camera}', found none; say its pixels")
         height, width = wiring.shape_of(camera)
-        if height != width and not wiring.letterbox and not wiring.stretch:
+        fills = wiring.letterbox or wiring.stretch or height == width
+        if not fills and not _as_recorded(wiring.task, camera, height, width):
             side = min(height, width)
             raise UserError(
                 f"{where}: expected the size of {camera!r} to be a square, as {side} by {side}, "
@@ -185,6 +190,14 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
     check_conventions(wiring, env_of(wiring), where)
     _check_keys(wiring, where)
     return wiring
+
+
+def _as_recorded(task: str, camera: str, height: int, width: int) -> bool:
+    """True where a picture of this size has the aspect in which ``camera`` was recorded."""
+    if not is_recording(task):
+        return False
+    own = robot_of(recordings_of(task)).camera(camera)
+    return height * own.width == width * own.height
 
 
 def _check_keys(wiring: Wiring, where: str | Path) -> None:
