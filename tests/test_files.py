@@ -17,6 +17,8 @@ from madviz.errors import UserError
 from madviz.system import files
 from madviz.system.files import (
     LINE,
+    OTHERS,
+    allow_open_files,
     pretty,
     read_json,
     replacing,
@@ -195,3 +197,23 @@ def test_a_disk_that_is_full_is_noticed_before_the_work(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_many_files_may_be_open_where_the_system_lets_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = [1024, 4096]
+    monkeypatch.setattr(resource, "getrlimit", lambda which: tuple(limits))
+
+    def raised(which: int, both: tuple[int, int]) -> None:
+        if both[0] > both[1]:
+            raise ValueError("current limit exceeds maximum limit")
+        limits[:] = both
+
+    monkeypatch.setattr(resource, "setrlimit", raised)
+    allow_open_files(100)
+    assert limits == [1024, 4096], "there is room"
+    allow_open_files(2000)
+    assert limits == [2000 + OTHERS, 4096]
+    with pytest.raises(UserError, match="found a limit of 4096; raise it"):
+        allow_open_files(5000)

@@ -125,6 +125,12 @@ def test_only_named_recordings_are_known(
         allow_recording(tmp_path / "none")
     monkeypatch.setenv(VARIABLE, os.fspath(other))
     assert env_spec(TASK).task == TASK
+    monkeypatch.chdir(other.parent)
+    monkeypatch.setenv(VARIABLE, other.name)
+    assert allow_recording(other) == TASK, "the same folder by another path"
+    monkeypatch.setenv(VARIABLE, os.pathsep.join([str(other), str(tmp_path / "mine")]))
+    with pytest.raises(UserError, match="a name of its own, found .*; rename one"):
+        env_spec(TASK)
 
 
 def test_counting_successes_is_refused_for_recordings() -> None:

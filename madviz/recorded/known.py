@@ -29,9 +29,22 @@ def is_recording(task: str) -> bool:
 
 
 def known_recordings() -> dict[str, Path]:
-    """The folders that were named here, by task."""
-    folders = [Path(each) for each in os.environ.get(VARIABLE, "").split(os.pathsep) if each]
-    return {f"{SUITE}/{folder.name}": folder for folder in folders}
+    """The folders that were named here, by task. Raises UserError for two of one name."""
+    known: dict[str, Path] = {}
+    for each in os.environ.get(VARIABLE, "").split(os.pathsep):
+        if each:
+            _add(known, Path(each).resolve())
+    return known
+
+
+def _add(known: dict[str, Path], folder: Path) -> str:
+    task = f"{SUITE}/{folder.name}"
+    if known.setdefault(task, folder) != folder:
+        raise UserError(
+            f"expected every folder of recordings to have a name of its own, found {folder} beside "
+            f"{known[task]}; rename one"
+        )
+    return task
 
 
 def allow_recording(folder: Path) -> str:
@@ -41,14 +54,9 @@ def allow_recording(folder: Path) -> str:
     if os.pathsep in str(path):
         raise UserError(f"{path}: expected a path without {os.pathsep!r}; rename the folder")
     recordings_in(path)
-    task = f"{SUITE}/{path.name}"
     known = known_recordings()
-    if known.get(task, path) != path:
-        raise UserError(
-            f"expected every folder of recordings to have a name of its own, found {path} beside "
-            f"{known[task]}; rename one"
-        )
-    os.environ[VARIABLE] = os.pathsep.join(map(str, {**known, task: path}.values()))
+    task = _add(known, path)
+    os.environ[VARIABLE] = os.pathsep.join(map(str, known.values()))
     return task
 
 

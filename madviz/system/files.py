@@ -7,6 +7,7 @@ import errno
 import json
 import math
 import os
+import resource
 import shutil
 import stat
 import tempfile
@@ -30,6 +31,25 @@ _UNFIT = {
     stat.S_IFLNK: "symbolic links in a circle",
 }
 """Kinds of files that can be neither replaced nor written to."""
+
+
+OTHERS = 256
+"""Files that a process has open besides those it asks for."""
+
+
+def allow_open_files(count: int) -> None:
+    """Lets this process keep ``count`` files open. Raises UserError if the system does not."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = count + OTHERS
+    if soft == resource.RLIM_INFINITY or soft >= wanted:
+        return
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    except (ValueError, OSError) as error:
+        raise UserError(
+            f"expected {wanted} files to be open at a time, found a limit of {hard}; raise it "
+            "(ulimit -Hn), or use fewer episodes"
+        ) from error
 
 
 def written_to(path: Path, option: str = "") -> bool:

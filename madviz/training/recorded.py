@@ -29,7 +29,7 @@ from madviz.runs.demonstrations import Dataset, Driver
 from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import every_mask, name_of
-from madviz.system.files import read_rows, write_bytes
+from madviz.system.files import allow_open_files, read_rows, write_bytes
 from madviz.training.light import LightRun, report_round, train_light
 from madviz.training.light_options import RECORDING, LightConfig
 from madviz.types import Array
@@ -122,6 +122,7 @@ class RecordedRun(LightRun):
         self.held_out = tuple(one for one in known.held_out if one in whole)
         if not training:
             raise UserError(f"{known.path}: expected a whole episode to learn from, found none")
+        allow_open_files(len(whole))
         self.data = RecordedDataset(recordings, training, self.robot, plan)
         self.look_at(np.arange(len(self.data)))
         self._validation = (
