@@ -328,6 +328,20 @@ def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it()
     assert rates.live(policy.spec, ALL).n == 0
 
 
+def test_a_policy_that_is_no_folder_is_not_loaded_where_the_page_is_drawn(monkeypatch, live):
+    evaluator, workers = live
+    spec = FakePolicy().spec
+
+    def loaded(reference):
+        raise AssertionError(f"{reference} was loaded")
+
+    monkeypatch.setattr(checkpoint, "load_policy", loaded)
+    assert evaluator.request("ann", "guard:metaworld-hammer-mad-light", ALL, spec).n == 0
+    assert workers.jobs == [("all", 60000)]
+    with pytest.raises(AssertionError, match="was loaded"):
+        evaluator.request("ann", "module:factory", ALL)
+
+
 def test_a_folder_that_was_trained_again_meanwhile_is_not_measured_as_the_old_one(
     monkeypatch, tmp_path
 ):

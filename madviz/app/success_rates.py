@@ -118,7 +118,7 @@ class SuccessRates:
             return
         reference = self._reference(spec)
         try:
-            self._hear(self._evaluator.request(visitor, reference, condition, spec.digest))
+            self._hear(self._evaluator.request(visitor, reference, condition, spec))
         except UserError as error:
             self._evaluator.forget(visitor)
             self._add((self._key(spec), condition), {}, str(error))

@@ -29,6 +29,7 @@ from madviz.measure.table import Table
 from madviz.measure.workers import Pool, Workers
 from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
+from madviz.types import PolicySpec
 
 NICENESS = 15
 """The niceness of worker processes: a visitor's own simulation goes first."""
@@ -104,14 +105,15 @@ class Evaluator:
         visitor: Hashable,
         policy: str | Path,
         condition: Condition,
-        digest: str | None = None,
+        spec: PolicySpec | None = None,
     ) -> Tally:
         """From now on ``visitor`` wants this and nothing else. Returns what is known of it already.
 
-        Raises UserError for an unknown policy or camera, and for a policy that has another
-        ``digest`` by now.
+        Raises UserError for an unknown policy or camera, and for a folder that holds other weights
+        than ``spec`` by now. A policy that is no folder is loaded here, unless its ``spec`` is
+        given; then the worker that loads it compares.
         """
-        request = self._as_request(policy, condition, digest)
+        request = self._as_request(policy, condition, spec)
         with self._lock:
             if self._wanted.get(visitor) != request:
                 self._errors.pop(request, None)  # Asking anew is trying anew.
@@ -146,15 +148,15 @@ class Evaluator:
         self._pool.close()
 
     def _as_request(
-        self, policy: str | Path, condition: Condition, digest: str | None = None
+        self, policy: str | Path, condition: Condition, acting: PolicySpec | None = None
     ) -> Request:
         """Requests that cannot differ are the same one. New ones start with what the store has."""
         reference = str(policy)
         if checkpoint.is_folder(reference):
             spec = checkpoint.describe(reference).spec
         else:
-            spec = checkpoint.load_policy(reference).spec
-        if digest not in (None, spec.digest):
+            spec = acting or checkpoint.load_policy(reference).spec
+        if acting is not None and acting.digest != spec.digest:
             raise UserError(
                 f"expected the weights that act here, found others in {reference}: it was changed "
                 "meanwhile; reload the page to see and measure those"
