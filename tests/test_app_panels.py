@@ -256,6 +256,27 @@ def test_a_dropped_camera_is_a_question_until_it_is_answered_or_silenced(server)
     panel.remove()
 
 
+def test_a_question_about_two_policies_is_another_one_than_about_one(server):
+    session = Recorder()
+    session.at(0.0)
+    gui = recorded(server.gui)
+    prediction = Prediction()
+    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    answers = gui.find("Your guess")
+    session.ask(Compare("toy-other"))
+    apply(panel.update(session.ask(SetCamera("first", OFF))))
+    assert answers.options == ("MAD", "Merged Only", "both", "neither", "just show me")
+    apply(panel.update(session.ask(Compare(None))))
+    apply(panel.update(session.ask(SetCamera("third_a", OFF))))
+    assert answers.visible and answers.options == ("yes", "no", "just show me")
+    prediction.take("both", session.frames[-1].world.episode)  # It was given before.
+    apply(panel.update(session.steps(1)))
+    assert "You say" not in gui.html and answers.visible
+    apply(panel.update(session.steps(24)))
+    assert "mv-ending" in gui.html and "You said" not in gui.html
+    panel.remove()
+
+
 def test_features_table_names_every_stream_and_the_sum():
     html = features_html(frame_with(SetCamera("third_a", OFF)))
     for words in ("First person", "Third A · dropped", "Third B", "merged: their sum"):

@@ -129,8 +129,22 @@ def test_words_stay_until_something_else_happens(server):
     panel = WordsPanel(gui, frame_with(), SuccessRates())
     assert "Take a camera away" in gui.html
     apply(panel.update(frame))
-    apply(panel.update(frame_with()))
+    later = replace(frame, world=replace(frame.world, change=None))
+    apply(panel.update(later))
     assert "Third A dropped" in gui.html
+    other_episode = replace(later, world=replace(later.world, episode=7))
+    apply(panel.update(other_episode))
+    assert "Third A dropped" in gui.html, "it still is"
+    apply(panel.update(frame_with()))
+    assert "Third A dropped" not in gui.html, "an earlier step has it"
+    session = Recorder()
+    session.at(0.0)
+    session.ask(SetCamera("third_a", OFF))
+    back = session.ask(SetCamera("third_a", CameraState("rgb")))
+    apply(panel.update(back))
+    assert "Third A" in gui.html
+    apply(panel.update(replace(back, world=replace(back.world, change=None, episode=7))))
+    assert "Take a camera away" in gui.html
     panel.remove()
 
 

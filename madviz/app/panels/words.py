@@ -25,9 +25,8 @@ from madviz.session.ending import (
     guess_words,
     side_labels,
 )
-from madviz.session.frame import Change, Frame, deed, words
+from madviz.session.frame import Change, Frame, World, deed, untouched, words
 from madviz.session.guard_words import guard_sentence
-from madviz.types import PolicySpec
 
 ASKS = {1: "Will it still do it?", 2: "Which will still do it?"}
 """The question, by the number of sides."""
@@ -84,7 +83,8 @@ class WordsPanel(HtmlPanel):
         """``prediction`` None: nothing is asked."""
         self._rates = rates
         self._frame = frame
-        self._last: tuple[Change, PolicySpec] | None = None
+        self._last: tuple[Change, World] | None = None
+        """The newest change, and where it happened, as long as it holds."""
         self._prediction = prediction or Prediction(silent=True)
         super().__init__(gui, frame, self._content)
         self._answers = gui.add_button_group("Your guess", YES_OR_NO, visible=False)
@@ -99,29 +99,33 @@ class WordsPanel(HtmlPanel):
         self._frame = frame
         changes = super().update(frame)
         asks = asks_now(frame, self._prediction)
-        if asks and not self._answers.visible:
-            changes.append(Assign(self._answers, "options", (*answers(frame), SILENCE)))
+        options = (*answers(frame), SILENCE)
+        if asks and tuple(self._answers.options) != options:
+            changes.append(Assign(self._answers, "options", options))
         return [*changes, Assign(self._answers, "visible", asks)]
 
     def _content(self, frame: Frame) -> str:
         if frame.world.change is not None:
-            self._last = (frame.world.change, frame.world.policy)
+            self._last = (frame.world.change, frame.world)
+        elif self._last is not None and not holds(*self._last, frame):
+            self._last = None
         simulated = frame.world.recorded is None
         ending = ending_of(frame, self._rates.best) if simulated else None
         prediction = self._prediction
         if prediction.episode not in (None, frame.world.episode):
             prediction.take("")
         if ending is not None:
-            said = ending_html(ending, frame, prediction.about(frame.world.episode))
+            guess = prediction.about(frame.world.episode)
+            said = ending_html(ending, frame, guess if guess in answers(frame) else "")
         elif frame.pace.waited >= 1:
             said = escape(WAITS.format(frame.pace.waited))
-        elif self._last is None or self._last[1] != frame.world.policy:
+        elif self._last is None:
             said = f'<span class="dim">{self.HINT}</span>'
         else:
             said = escape(both_sides(self._last[0], frame, self._rates))
             if asks_now(frame, prediction):
                 said += f". <b>{ASKS[1 if frame.second is None else 2]}</b>"
-            elif prediction.guess:
+            elif prediction.guess in answers(frame):
                 said += f". <b>You say {escape(prediction.guess)}.</b>"
         sides = [frame] if frame.second is None else [frame, frame.second]
         for noticed in dict.fromkeys(map(guard_sentence, sides)):  # Once where both notice alike.
@@ -141,8 +145,22 @@ def answers(frame: Frame) -> tuple[str, ...]:
     return (*side_labels([frame.world.policy, frame.second.world.policy]), BOTH, NEITHER)
 
 
+def holds(change: Change, then: World, frame: Frame) -> bool:
+    """True where ``change``, which happened in ``then``, is still so: the same policy acts, and the
+    camera is as it left it, which in another episode is worth a word only if it is not intact."""
+    name = change.camera
+    at, place = frame.camera(name), frame.world.ablation.moves.get(name)
+    intact = at == untouched(frame.world.policy) and place is None
+    return (
+        frame.world.policy == then.policy
+        and (at, place) == (change.after, then.ablation.moves.get(name))
+        and not (intact and frame.world.episode != then.episode)
+    )
+
+
 def asks_now(frame: Frame, prediction: Prediction) -> bool:
-    """True where a camera has just been dropped, and the visitor has not answered yet."""
+    """True where a camera has just been dropped, and the visitor has not answered yet: an answer on
+    two policies is none on one."""
     change = frame.world.change
     dropped = change is not None and frame.camera(change.camera).input == "off"
     over = frame.ended or frame.past
@@ -151,7 +169,7 @@ def asks_now(frame: Frame, prediction: Prediction) -> bool:
         and dropped
         and not over
         and not prediction.silent
-        and not prediction.guess
+        and prediction.guess not in answers(frame)
     )
 
 
