@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +14,37 @@ import pytest
 from msgspec import structs
 
 from madviz import cli
+from madviz.app import server
+from madviz.app.server import ExploreConfig
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import parse_schedule
 from madviz.session.commands import (
     Pause,
     Play,
     SetCamera,
+    SetPolicy,
     SetSchedule,
     SetSeed,
 )
 from madviz.session.frame import Frame
 from madviz.session.replay import failure_words, replay_episode, replay_row, replay_words
+from madviz.session.scheduled import SessionPlan
 from madviz.session.session import Session
-from madviz.session.session_file import STREAMS, Hashes, SavedEpisode, SavedPolicy, SavedSession
+from madviz.session.session_file import (
+    STREAMS,
+    Hashes,
+    SavedCommand,
+    SavedEpisode,
+    SavedPolicy,
+    SavedSession,
+)
 from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
 from tests.fakes import FakePolicy, policies
+from tests.sessions import Recorder
 from tests.visitors import (
     CAMERAS,
     Interrupted,
@@ -170,6 +184,29 @@ def test_a_session_follows_a_saved_episode_then_is_the_visitors() -> None:
     session.tick(99.0)
     session.tick(100.0)
     assert not session.save().episodes[-1].commands
+
+
+def test_the_policies_of_a_saved_episode_keep_their_guards(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    saved = played(1, 40)
+    bare, guarded = (SavedPolicy(f"toy-mad{end}", "digest") for end in ("", SUFFIX))
+    changed = structs.replace(saved.episodes[0], policy=guarded, commands=())
+    session_file = replace(saved, episodes=(changed,))
+    monkeypatch.setattr(server, "read_session", lambda file: session_file)
+    for name in ("check_policies", "differences"):
+        monkeypatch.setattr(server, name, lambda *_: ())
+    monkeypatch.setattr(server, "finder", lambda names: lambda policy: FakePolicy(policy.name))
+    _, given = server.saved_episode(ExploreConfig(replay=tmp_path))
+    assert list(given) == ["guard:toy-mad"]
+    swaps = (SavedCommand(0, bare), SavedCommand(0, guarded))
+    plan = SessionPlan(structs.replace(changed, commands=swaps))
+    plan.begin()
+    session = Recorder()
+    session.at(0.0)
+    assert session._stage.simulation is not None
+    due = plan.due(session._stage.simulation)
+    assert due == [SetPolicy("toy-mad"), SetPolicy("guard:toy-mad")]
 
 
 def test_a_difference_is_found_and_explained() -> None:

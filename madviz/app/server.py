@@ -32,7 +32,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.grammar import parse_condition
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
-from madviz.policies.guarded import is_guarded, unguarded
+from madviz.policies.guarded import is_guarded, reference_to, unguarded
 from madviz.policies.listing import list_policies
 from madviz.policies.no_policy import NONE_LABEL, is_no_policy, without_policy
 from madviz.policies.sb3 import trust
@@ -338,7 +338,7 @@ def described(policy: str) -> PolicySpec:
 
 
 def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str, PolicySpec]]:
-    """The episode to replay, if there is one, and all its policies by name, the first one
+    """The episode to replay, if there is one, and all its policies by reference, the first one
     first. Says what is known to be different here. Raises UserError for a file that won't do."""
     if config.replay is None:
         return None, {}
@@ -349,7 +349,7 @@ def saved_episode(config: ExploreConfig) -> tuple[SavedEpisode | None, dict[str,
     check_policies(script, find)
     for difference in differences(script, saved, find):
         say(f"madviz: it may come out differently: {difference}")
-    return script, {policy.name: find(policy).spec for policy in script.policies}
+    return script, {reference_to(policy.name): find(policy).spec for policy in script.policies}
 
 
 def shipped_rates(reference: str, spec: PolicySpec) -> dict:

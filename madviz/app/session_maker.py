@@ -11,6 +11,7 @@ from pathlib import Path
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import make_env
 from madviz.policies import checkpoint
+from madviz.policies.guarded import reference_to
 from madviz.policies.sb3 import trust
 from madviz.recorded.known import allow_recording
 from madviz.session.commands import Command
@@ -76,7 +77,7 @@ class SessionMaker:
         if self.script is None:
             return {}
         find = finder(() if self.typed is None else (self.typed,))
-        return {policy.name: find(policy) for policy in self.script.policies}
+        return {reference_to(policy.name): find(policy) for policy in self.script.policies}
 
 
 class LoadedPolicies:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, Schedule, reached
+from madviz.policies.guarded import reference_to
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.frame import untouched
 from madviz.session.session_file import SavedEpisode, SavedPolicy
@@ -35,7 +36,8 @@ class SessionPlan:
         script = self._script
         commands = [one.command for one in (script.commands if script else ()) if one.step == step]
         scripted: list[SetCamera | MoveCamera | SetPolicy] = [
-            SetPolicy(one.name) if isinstance(one, SavedPolicy) else one for one in commands
+            SetPolicy(reference_to(one.name)) if isinstance(one, SavedPolicy) else one
+            for one in commands
         ]
         return [*scripted, *self._failures(self.schedule, step, simulation)]
 
