@@ -255,6 +255,28 @@ def test_one_click_leads_past_the_comparison_and_leaves_all_as_it_is(
     assert buttons(client) == []
 
 
+def test_where_there_is_nothing_to_compare_with_it_says_which_policy_has_something(
+    table: Table, server: viser.ViserServer
+):
+    client = browser(server)
+    tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])
+    table.session.send(SetPolicy("toy-merged-only-light"))
+    table.tick()
+    use(client.gui.find("New?"), "compare")
+    (title, words), *others = client.notes
+    assert title == "Choose another policy first" and not others
+    assert "Here, toy-mad-light has one." in words and buttons(client) == []
+    table.session.send(SetPolicy("toy-mad-light"))
+    table.tick()
+    use(client.gui.find("New?"), "compare")
+    assert table.tick().second is not None
+    tour.remove()
+    client = browser(server)
+    begun = Tour(client, table.session.send, lambda: table.frame, CHOICES[:1], [])
+    assert client.gui.find("New?").options[0] != "compare"
+    begun.remove()
+
+
 def test_a_button_does_what_it_says_whatever_is_open(table: Table, server: viser.ViserServer):
     client = browser(server)
     tour = Tour(client, table.session.send, lambda: table.frame, CHOICES, [])

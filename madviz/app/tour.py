@@ -19,9 +19,9 @@ from typing import Any
 
 import viser
 
-from madviz.app.panels.policy import PolicyChoice
+from madviz.app.panels.policy import PolicyChoice, offered
 from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, guarded, heard, place, theme
+from madviz.app.toolkit import Cell, guarded, heard, notify, place, theme
 from madviz.app.tour_steps import (
     Step,
     acts,
@@ -69,6 +69,12 @@ command by name.
 """
 
 
+ALONE = (
+    "compare puts a policy beside one that learned with all cameras only. Here, {} has one. "
+    "The tab Who wins? compares any two."
+)
+
+
 class Tour:
     """The buttons, the tour's window, and the help."""
 
@@ -106,7 +112,7 @@ class Tour:
         frame = newest()
         recorded = isinstance(frame, Frame) and frame.world.env.recorded
         options = (HELP_BUTTON,) if send is None or recorded else (TOUR_BUTTON, HELP_BUTTON)
-        if send is not None and self._other(frame) is not None:
+        if send is not None and isinstance(frame, Frame) and not recorded and self._pairs(frame):
             options = (COMPARE_BUTTON, *options)
         self._row = gui.add_button_group("New?", options, hint=HINT)
         self._row.on_click(heard(lambda event: self._pressed(event.target.value)))
@@ -125,7 +131,11 @@ class Tour:
         coming_back = self._panel is not None or self._newest() is self._left
         start = self._start if coming_back else None
         self.end()
-        if button == COMPARE_BUTTON:
+        frame = start or self._newest()
+        if button == COMPARE_BUTTON and isinstance(frame, Frame) and self._other(frame) is None:
+            known = ", ".join(self._pairs(frame))
+            notify(self._client, "Choose another policy first", ALONE.format(known))
+        elif button == COMPARE_BUTTON:
             self._offer(start)
             self.next()  # Who presses it has asked for it.
         elif button == TOUR_BUTTON:
@@ -135,7 +145,12 @@ class Tour:
         """The policy to compare with, if there is one."""
         if not isinstance(frame, Frame) or frame.world.env.recorded:
             return None
-        return never_alone(frame.world.policy, self._choices)
+        return never_alone(frame.world.policy.name, self._choices)
+
+    def _pairs(self, frame: Frame) -> list[str]:
+        """The labels of the policies of this task that have one to compare with."""
+        here = offered(self._choices, frame.world.env.task)
+        return [label for label, name in here.items() if never_alone(name, self._choices)]
 
     def greet(self) -> None:
         """Offers the comparison, if there is a policy to compare with."""

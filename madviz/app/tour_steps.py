@@ -38,7 +38,6 @@ from madviz.session.commands import (
 )
 from madviz.session.ending import BOTH, NEITHER
 from madviz.session.frame import Frame, untouched
-from madviz.types import PolicySpec
 
 Commands = tuple[Command, ...]
 BACK = 10
@@ -109,7 +108,7 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) ->
                 *(_camera(frame, index, "off") for index in range(1, len(cameras))),
             ),
         )
-    other = never_alone(frame.world.policy, choices)
+    other = never_alone(frame.world.policy.name, choices)
     if other is not None:
         yield Step(
             "Another policy",
@@ -245,9 +244,9 @@ def whole(frame: Frame, named: Reference = own_name) -> Commands:
     return (SetPolicy(named(frame.world.policy)), *cameras)
 
 
-def never_alone(policy: PolicySpec, choices: Sequence[PolicyChoice]) -> str | None:
+def never_alone(policy: str, choices: Sequence[PolicyChoice]) -> str | None:
     """The name of the policy like this one that learned with all cameras only, if it is offered."""
-    name = policy.name.removesuffix(SUFFIX)
+    name = policy.removesuffix(SUFFIX)
     wanted = name.replace("-mad-", "-merged-only-")
     names = [choice.name for choice in choices]
     return wanted if wanted != name and wanted in names else None
