@@ -12,6 +12,7 @@ from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.session.commands import (
     Command,
     Compare,
+    Fork,
     Link,
     Pause,
     Play,
@@ -203,6 +204,19 @@ def test_another_future_has_paths_of_its_own() -> None:
     paths = session.steps(LAST - 3).paths
     assert paths is not None and paths.since == 2
     np.testing.assert_array_equal(paths.intact, intact()[2:])
+
+
+def test_bs_episode_keeps_its_path_when_a_goes_back() -> None:
+    session = Recorder()
+    session.ask(Compare("toy-other"))
+    session.steps(6)
+    session.ask(SetCamera("first", OFF))
+    ended = session.steps(LAST - 6)
+    session.ask(Scrub(2), Fork(), Play())
+    again = session.steps(LAST - 3)
+    before, after = (frame.second.paths for frame in (ended, again) if frame.second is not None)
+    assert before is not None and after is not None and after.since == before.since == 6
+    np.testing.assert_array_equal(after.intact, before.intact)
 
 
 class Drifts(ToyReach):

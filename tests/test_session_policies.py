@@ -13,6 +13,7 @@ from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState
+from madviz.observation.condition import Condition
 from madviz.session.commands import (
     Compare,
     Pause,
@@ -24,11 +25,13 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
+from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import NoFrame
 from madviz.session.opening import open_simulation
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation
+from madviz.types import CameraSpec
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, policies
 from tests.sessions import OFF, Recorder, any_task, elsewhere
 
@@ -54,6 +57,31 @@ def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder
     assert six.world.probe.masks.shape == (64, 6)
     assert six.condition.subset == "first+third_b"
     assert session.steps(2).world.step == before.world.step + 2
+
+
+def test_a_camera_that_is_on_again_gives_depth_to_a_policy_that_takes_it(session: Recorder):
+    on = CameraState("rgb")  # As in training, for a policy of colour.
+    session.ask(SetCamera("third_a", OFF))
+    session.ask(SetCamera("third_a", on))
+    compared = session.ask(Compare("toy-rgbd", session.frames[-1].world.ablation))
+    assert compared.second is not None and str(compared.second.condition) == "all"
+    assert compared.linked
+    session.ask(SetCamera("third_b", OFF))
+    both = session.ask(SetCamera("third_b", on)).second
+    assert both is not None and str(both.condition) == "all"
+    session.ask(Compare(None))
+    assert str(session.ask(SetPolicy("toy-rgbd")).condition) == "all"
+    session.ask(SetCamera("first", on))  # Somebody wants colour alone.
+    assert str(session.ask(SetPolicy("toy-mad")).condition) == "all"
+
+
+def test_a_camera_that_the_policy_does_not_use_changes_nothing_of_an_episode():
+    spec = FakePolicy().spec
+    record = EpisodeRecord()
+    ablation = Ablation({"third_c": CameraState("off"), "first": CameraState("off")})
+    record.note(spec, Condition("third_a+third_b"), ablation)
+    cameras = (*make_env("toy/reach").spec.cameras, CameraSpec("third_c", "Third C", fovy=50))
+    assert [deed.label for deed in record.deeds(cameras)] == ["First person"]
 
 
 @pytest.mark.parametrize("auto_next", [True, False])

@@ -18,7 +18,7 @@ from madviz.measure.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
-from madviz.session.frame import Outcome, Pair, Side, untouched
+from madviz.session.frame import Outcome, Pair, Side, carried, untouched
 from madviz.session.opening import open_simulation
 from madviz.session.simulation import Simulation
 from madviz.session.waiting import PolicyWait
@@ -60,17 +60,23 @@ class SecondSimulation:
         self.simulation.begin(seed, between)
         self._whole = True
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether a decision is left in this episode."""
+        return self._whole and not self.simulation.ended
+
     def step(self) -> None:
         """One decision, if there is one left."""
-        if self._whole and not self.simulation.ended:
+        if self.goes_on:
             self.simulation.step(lambda: None)
 
     def follow(self, first: Simulation) -> None:
         """Gives each camera the state and the place that it has in ``first``."""
         ours = self.simulation
         normal = untouched(ours.policy.spec)
+        wanted = carried(first.ablation, first.policy.spec, ours.policy.spec)
         for name in (camera.name for camera in ours.env.spec.cameras):
-            state = first.ablation.cameras.get(name, normal)
+            state = wanted.cameras.get(name, normal)
             if state != ours.ablation.cameras.get(name, normal):
                 ours.set_camera(SetCamera(name, state))
             move = first.ablation.moves.get(name)

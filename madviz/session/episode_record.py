@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.session.frame import Deed, Outcome
+from madviz.subsets import camera_of
 from madviz.types import CameraSpec, PolicySpec, TimeStep
 
 
@@ -41,7 +42,9 @@ class EpisodeRecord:
         self.success_any |= time_step.success
 
     def note(self, policy: PolicySpec, condition: Condition, ablation: Ablation) -> None:
-        """Notes the condition under which a decision was taken."""
+        """Notes the condition under which a decision was taken. A camera that the policy does not
+        use counts nowhere."""
+        ablation = ablation.of([camera_of(stream) for stream in policy.streams])
         self.conditions.add((policy, condition))
         present = ablation.present(policy.streams)
         occluded = ablation.occlusions()

@@ -323,6 +323,14 @@ def untouched(policy: PolicySpec) -> CameraState:
     return CameraState("both" if len(known) > 1 else "depth" if "depth" in known else "rgb")
 
 
+def carried(ablation: Ablation, old: PolicySpec, new: PolicySpec) -> Ablation:
+    """``ablation`` of the policy ``old`` for ``new``: a camera that is as in training stays so,
+    also where one policy takes its depth and the other does not."""
+    before, after = untouched(old), untouched(new)
+    cameras = {name: after if at == before else at for name, at in ablation.cameras.items()}
+    return Ablation(cameras, ablation.moves)
+
+
 def words(change: Change, env: EnvSpec) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8``."""
     effect = f"action changed by {change.action_change:.2f}"

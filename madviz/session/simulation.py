@@ -32,7 +32,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
-from madviz.session.frame import Change, Outcome, World, untouched
+from madviz.session.frame import Change, Outcome, World, carried, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
 from madviz.session.snapshot import Snapshot, StepData
@@ -273,6 +273,9 @@ class Simulation:
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
         past = list(self._recent)
+        old = self.policy.spec
+        self.ablation = carried(self.ablation, old, policy.spec)
+        self._settled = carried(self._settled, old, policy.spec)
         self._adopt(policy)
         self._playing.begin(policy, self.seed)
         self._recent.clear()

@@ -27,7 +27,7 @@ from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
 from madviz.session.comparison import MOST_PAIRS, SecondSimulation
-from madviz.session.frame import Frame, Pair, SessionPace
+from madviz.session.frame import Frame, Pair, SessionPace, carried
 from madviz.session.journal import Journal
 from madviz.session.opening import open_simulation
 from madviz.session.retrace import Retrace
@@ -151,7 +151,8 @@ class Stage:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
         live = self._live
         condition = str(live.condition)
-        for side in self._sides:
+        b = self._second
+        for side in (live, *([b.simulation] if b is not None and b.goes_on else [])):
             if side not in self._before and side.condition != Condition("all"):
                 self._before[side] = side.snapshot()
         live.step(between)
@@ -201,7 +202,7 @@ class Stage:
             self._foresight = None
             return False
         self.policy = policy
-        self.open(live.ablation if live else None)
+        self.open(carried(live.ablation, live.policy.spec, policy.spec) if live else None)
         return True
 
     @staticmethod
@@ -266,7 +267,9 @@ class Stage:
         live = self._live
         self._forget_retraces()
         to = self._timeline.fork()
-        self._before = {a: s for a, s in self._before.items() if len(s.actions) < len(to.actions)}
+        changed = self._before.get(live)
+        if changed is not None and len(changed.actions) >= len(to.actions):
+            del self._before[live]
         live.return_to(to)
         self._foresight = None
         self.policy = live.policy
@@ -285,7 +288,8 @@ class Stage:
         self._pairs.clear()
         if second is not None:
             live = self._live
-            self._linked = second.simulation.ablation == live.ablation
+            b = second.simulation
+            self._linked = b.ablation == carried(live.ablation, live.policy.spec, b.policy.spec)
             live.begin(self.seed)
             self._begun(self.seed)
 
@@ -304,7 +308,8 @@ class Stage:
                 f"expected a policy for {live.env.spec.task} on B's side, found {name!r} for "
                 f"{policy.spec.task}; choose one of the same task"
             )
-        return SecondSimulation(self._make_env, policy, ablation, self.seed, self.wait)
+        begins = carried(ablation, live.policy.spec, policy.spec)
+        return SecondSimulation(self._make_env, policy, begins, self.seed, self.wait)
 
     def link(self, on: bool) -> None:
         """Whether what is done to A's cameras is done to B's, too."""
