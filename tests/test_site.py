@@ -176,16 +176,41 @@ def test_the_opening_s_policies_come_first() -> None:
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(UserError, match="expected an empty folder or a site"):
-        site.begin(tmp_path)
+    with pytest.raises(UserError, match="expected an empty folder or a site, found 'thesis.tex'"):
+        site.check_place(tmp_path)
+    (tmp_path / site.MANIFEST).write_text('{"name": "a web app", "icons": []}')
+    with pytest.raises(UserError, match="which would be lost"):
+        site.check_place(tmp_path)
+    (tmp_path / site.MANIFEST).write_text('{"schema": 1, "runtime": {}}')
+    (tmp_path / ".git").mkdir()
+    with pytest.raises(UserError, match="found '.git', which would be lost"):
+        site.check_place(tmp_path)
     assert (tmp_path / "thesis.tex").read_text() == "mine"
 
 
-def test_a_site_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / site.MANIFEST).write_text("{}")
-    (tmp_path / "old.js").write_text("")
-    assert site.begin(tmp_path) > 10_000
-    assert (tmp_path / "worker.js").is_file() and not (tmp_path / "old.js").exists()
+def test_a_site_is_replaced_when_the_new_one_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "site"
+    out.mkdir()
+    (out / site.MANIFEST).write_text('{"schema": 1, "runtime": {}}')
+    (out / "old.js").write_text("")
+    monkeypatch.setattr(site, "find_packages", lambda folder: folder)
+    monkeypatch.setattr(site, "chosen", lambda names: [])
+    monkeypatch.setattr(site, "write_licences", lambda out, packages: None)
+
+    def stopped(out: Path, packages: Path) -> dict:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(site, "write_runtime", stopped)
+    with pytest.raises(OSError, match="No space left"):
+        site.run_site(site.SiteConfig(str(out)))
+    assert (out / "old.js").exists() and [path.name for path in tmp_path.iterdir()] == ["site"]
+    monkeypatch.setattr(site, "write_runtime", lambda out, packages: {})
+    found = site.run_site(site.SiteConfig(str(out)))
+    assert found["page_bytes"] > 10_000 and found["opening"] is None
+    assert (out / "worker.js").is_file() and not (out / "old.js").exists()
+    site.run_site(site.SiteConfig(str(out)))
 
 
 def test_missing_packages_are_named_with_the_line_that_installs_them(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from madviz.site.exports import description_of, export_policy, export_task
 from madviz.site.files import write_zip
 from madviz.site.recordings import record_policy
 from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
-from madviz.system.files import write_json
+from madviz.system.files import new_folder, read_json, write_json
 from madviz.system.numbers import CountOrNone
 from madviz.vocabulary.words import shown_meanings
 
@@ -74,15 +74,33 @@ class SiteConfig:
 
 def run_site(config: SiteConfig) -> dict[str, Any]:
     """Writes the folder; its manifest with the bytes in all. Raises UserError for a policy that no
-    site can hold, for seeds that are no range, and where packages are missing."""
+    site can hold, for seeds that are no range, where packages are missing, and for a folder that
+    holds something else."""
     seeds = seed_range(config.seeds)
     packages = find_packages(Path(config.packages).resolve())
     folders = chosen(config.policies)
     out = Path(config.out)
-    page_bytes = begin(out)
+    check_place(out)
+    with new_folder(out) as part:
+        manifest = _written(part, config, folders, seeds, packages)
+        size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
+        if out.exists():
+            shutil.rmtree(out)  # Last: what fails before leaves the old site.
+    archive = write_zip(out) if config.zip else None
+    return {"out": str(out), "bytes": size, "zip": str(archive or ""), **manifest}
+
+
+def _written(
+    out: Path,
+    config: SiteConfig,
+    folders: Sequence[PolicyFolder],
+    seeds: range,
+    packages: Path,
+) -> dict[str, Any]:
+    """Writes all files of a site into ``out``; its manifest."""
     manifest: dict[str, Any] = {
         "schema": SCHEMA,
-        "page_bytes": page_bytes,
+        "page_bytes": copy_page(out),
         "version": versions_here()["madviz"],
         "versions": {**versions_here(), **versions()},
         "runtime": write_runtime(out, packages),
@@ -110,9 +128,7 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     manifest["opening"] = opening(manifest["policies"], seeds)
     write_licences(out, packages)
     write_json(out / MANIFEST, manifest)
-    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
-    archive = write_zip(out) if config.zip else None
-    return {"out": str(out), "bytes": size, "zip": str(archive or ""), **manifest}
+    return manifest
 
 
 def site_words(result: dict[str, Any]) -> str:
@@ -161,15 +177,28 @@ def fits(folder: PolicyFolder) -> bool:
     return folder.config.merge == "sum" and folder.spec.setting in ("three", "three-rgbd")
 
 
-def begin(out: Path) -> int:
-    """The folder with the page in it; the page's bytes. Raises UserError for one that holds
-    something else."""
-    if out.exists() and any(out.iterdir()):
-        if not (out / MANIFEST).is_file():
-            raise UserError(
-                f"{out}: expected an empty folder or a site, found other files; choose another"
-            )
-        shutil.rmtree(out)
+def check_place(out: Path) -> None:
+    """Raises UserError for a folder that holds anything but a site, which would be lost."""
+    if not out.is_dir():
+        return
+    found = sorted(path.name for path in out.iterdir())
+    if not found:
+        return
+    try:
+        manifest = read_json(out / MANIFEST)
+        ours = isinstance(manifest, dict) and {"schema", "runtime"} <= manifest.keys()
+    except UserError:
+        ours = False
+    others = [name for name in found if name.startswith(".")] if ours else found
+    if others:
+        raise UserError(
+            f"{out}: expected an empty folder or a site, found {others[0]!r:.60}, which would be "
+            "lost; choose another folder"
+        )
+
+
+def copy_page(out: Path) -> int:
+    """Copies the page into ``out``; its bytes."""
     web = resources.files("madviz.site").joinpath("web")
     with resources.as_file(web) as source:
         shutil.copytree(source, out, dirs_exist_ok=True)
