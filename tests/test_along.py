@@ -208,6 +208,21 @@ def test_a_policy_that_seldom_succeeds_is_no_evidence(monkeypatch):
     assert "no evidence" in words and found["intact"]["n"] == 40
 
 
+@pytest.mark.parametrize(
+    ("word", "episodes", "intact", "n"),
+    [
+        ("third_a.pan=-20:20", 60, 0.02, 60),
+        ("third_a.pan=-20:20", 2, 1.0, 2),
+        ("third_a.pan=-20:20", 1, 1.0, 2),
+        ("third_a.blur=0:1", 4, 0.02, 8),
+    ],
+)
+def test_few_episodes_and_few_successes_end_in_words(monkeypatch, word, episodes, intact, n):
+    Thresholds(monkeypatch, word, 0.5, intact=intact)
+    found = along(FakePolicy(), [word], seed=60_000, episodes=episodes)
+    assert found["intact"]["n"] == n and along_words(found)
+
+
 def test_an_audit_that_was_stopped_goes_on_and_ends_the_same(monkeypatch, tmp_path):
     word = "third_a.pan=-20:20"
     Thresholds(monkeypatch, word, 0.4)

@@ -14,7 +14,7 @@ from madviz.envs.toy import STEP
 from madviz.errors import Interrupted, UserError
 from madviz.measure import table as table_module
 from madviz.measure.audit.account import account
-from madviz.measure.audit.audit import AuditConfig, audit, audit_words, run_audit
+from madviz.measure.audit.audit import AuditConfig, audit, audit_words, command, run_audit
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.audit.sentences import in_words
@@ -191,6 +191,8 @@ def test_it_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
     ) as e:
         run_audit(config)
     assert e.value.exit_code == 128 + signal.SIGINT
+    again = command(replace(config, trust=True, workers=2, json="-"), given_away=False)
+    assert "--trust --workers 2 --json -" in again
     world.stop_after = 10**9
     assert run_audit(config) == straight
     assert world.ran == whole

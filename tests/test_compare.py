@@ -154,6 +154,22 @@ def test_the_figure_has_a_bar_for_a_method_and_a_dot_for_a_training(tmp_path: Pa
     assert figure.read_text() == drawn
 
 
+def test_policies_of_other_cameras_or_merges_are_no_trainings_of_one_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: dict[str, list[figures.Bar]] = {}
+    monkeypatch.setattr(figures, "bars", lambda title, groups, series: drawn.update(series) or "")
+    for number, changed in enumerate(({"camera": "first"}, {"camera": "third_a"}, {})):
+        folder = write_policy(tmp_path, {"all": 0.5}, method="single", folder=f"one{number}")
+        config = json.loads((folder / "config.json").read_text())
+        (folder / "config.json").write_text(json.dumps({**config, **changed}))
+    folders = tuple(str(tmp_path / f"one{number}") for number in range(3))
+    compare_policies(CompareConfig(folders, figure=tmp_path / "figure.svg"))
+    assert list(drawn) == [
+        f"single (three, {camera}light)" for camera in ("first, ", "third_a, ", "")
+    ]
+
+
 def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> None:
     figure = tmp_path / "curves.svg"
     (Path(two[0]) / "curve.csv").write_text("round,student_success\n1,0.5\n")

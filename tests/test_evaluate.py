@@ -16,7 +16,7 @@ from madviz.agent.agent import Agent
 from madviz.agent.networks import NetworkConfig
 from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
-from madviz.errors import UserError
+from madviz.errors import Unfinished, UserError
 from madviz.measure.episodes import Job, Runner, run_episode
 from madviz.measure.evaluate import (
     EvalConfig,
@@ -296,7 +296,46 @@ def test_a_mistake_in_a_worker_reaches_the_user(workers):
         evaluate("tests.test_evaluate:make_nan_policy", ("first",), episodes=2, workers=workers)
 
 
+class Fails(FakePolicy):
+    """Raises what no policy should, in its third episode of 25 decisions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.left = 60
+
+    def encode(self, views, state):
+        self.left -= 1
+        if not self.left:
+            raise RuntimeError("out of memory")
+        return super().encode(views, state)
+
+
+def test_what_was_played_is_kept_whatever_a_policy_raises():
+    with pytest.raises(Unfinished, match="RuntimeError: out of memory; 2 of 4 episodes") as stopped:
+        evaluate(Fails(), ("all",), episodes=4, workers=0)
+    assert len(stopped.value.result.episodes) == 2
+
+
 # --- The command ---
+
+
+def test_rates_on_other_seeds_stay_when_reporting_seeds_are_read(folder, tmp_path, capsys):
+    copy = tmp_path / "toy"
+    shutil.copytree(folder, copy)
+    (copy / "evaluation.json").unlink(missing_ok=True)
+
+    def firsts(name):
+        file = copy / f"{name}.json"
+        return json.loads(file.read_text())["seed"] if file.exists() else None
+
+    for seed in (70_000, 40_000):
+        run_eval(EvalConfig(str(copy), ("all",), episodes=1, seed=seed, workers=0, card=True))
+    assert (firsts("evaluation"), firsts("development")) == (40_000, 70_000)
+    (copy / "evaluation.json").unlink()
+    for seed in (10_000, 40_000):
+        run_eval(EvalConfig(str(copy), ("all",), episodes=1, seed=seed, workers=0, card=True))
+    assert (firsts("evaluation"), firsts("development")) == (40_000, 70_000)
+    assert "rates on development (read) seeds give way" in capsys.readouterr().err
 
 
 def test_eval_command_computes_and_writes_the_card(folder, tmp_path, capsys):

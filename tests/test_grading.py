@@ -14,6 +14,7 @@ from madviz.errors import UserError
 from madviz.grading.copies import checks_of, handed_out, prepare, returned
 from madviz.grading.grade import Grade, GradeConfig, grade, grade_words, rows_of, table
 from madviz.grading.run import CopyRun, environment, read
+from madviz.grading.worker import ReportFile
 from madviz.teaching.checks.exercise import Result
 
 RIGHT = "def merge(features, present):\n    return features[present].sum(0)"
@@ -122,6 +123,41 @@ def test_half_a_report_counts(tmp_path: Path) -> None:
     assert run.results.keys() == {"02.merge"} and run.results["02.merge"].passed
     assert run.errors == {"02.merge": "cell 3: ZeroDivisionError"}
     assert read(tmp_path / "none").results == {}
+
+
+def test_a_check_that_never_ends_has_its_reason_and_the_next_one_none(
+    class_: Path, tmp_path: Path
+) -> None:
+    report = ReportFile(tmp_path / "report", 150)
+    stopped = {"content": {"status": "error", "ename": "KeyboardInterrupt", "evalue": ""}}
+    check = new_code_cell("check()")
+    check.metadata["madviz"] = "02.merge"
+    report.executed(check, 6, stopped)
+    report.line(result={"name": "02.mean", "passed": True, "missing": "", "error": ""})
+    run = read(tmp_path / "report")
+    assert run.errors == {"02.merge": "cell 7: did not end within 150 s", "02.mean": ""}
+    (one,) = returned_of(class_, "bob_02_merge.ipynb")
+    first, second = rows_of(one, ["02.merge", "02.mean"], frozenset(), run)
+    assert (first.passed, first.error) == (False, "cell 7: did not end within 150 s")
+    assert (second.passed, second.error) == (True, "")
+
+
+def test_copies_that_are_graded_are_in_the_table_when_it_is_stopped(
+    class_: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ada_02_merge.ipynb", "bob_02_merge.ipynb"):
+        come_back(class_, name, notebook(RIGHT))
+
+    def graded(copy, lessons, config, stop):
+        if copy.student == "bob":
+            raise KeyboardInterrupt
+        return [Grade(copy.student, LESSON, "02.merge", True)]
+
+    monkeypatch.setattr("madviz.grading.grade.graded", graded)
+    config = GradeConfig(class_ / "returned", class_ / "lessons", class_ / "t.csv", workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        grade(config)
+    assert "ada,02_merge,02.merge,yes" in (class_ / "t.csv").read_text()
 
 
 def test_every_exercise_has_its_row(class_: Path) -> None:

@@ -31,7 +31,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from madviz.errors import UserError
+from madviz.errors import UserError, saving
 from madviz.policies.checkpoint import policy_roots
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, check_numbers
@@ -117,15 +117,20 @@ def grade(config: GradeConfig) -> Graded:
             for number, job in enumerate(jobs):
                 say(f"{number + 1} of {len(jobs)}: {in_a_line(job.result())}")
                 rows += job.result()
+        except BaseException:
+            write_bytes(config.out, table(rows).encode())  # Those that are graded.
+            raise
         finally:
             stop.set()
-    write_bytes(config.out, table(rows).encode())
-    return {
+    document: Graded = {
         "schema": 1,
         "copies": len(copies),
         "seconds": round(time.monotonic() - began, 1),
         "rows": [asdict(row) for row in rows],
     }
+    with saving(document, f"--out {config.out}"):
+        write_bytes(config.out, table(rows).encode())
+    return document
 
 
 def in_a_line(rows: list[Grade]) -> str:
@@ -164,7 +169,7 @@ def rows_of(
     """A row for each exercise: what its check found, or why it was never reached."""
     for name in exercises:
         result = run.results.get(name)
-        troubles = [run.errors.get(name) or result.error if result else run.end]
+        troubles = [run.errors.get(name) or (result.error if result else run.end)]
         if name in edited:
             troubles.append("check edited; the original one was run" if result else "check edited")
         passed = result is not None and result.passed

@@ -55,6 +55,8 @@ class ReportLine(msgspec.Struct):
 
     result: Result | None = None
     error: str = ""
+    check: str = ""
+    """The exercise whose own check raised ``error``; '' for another cell."""
     end: str = ""
 
 
@@ -135,6 +137,9 @@ def read(report: Path) -> CopyRun:
         if line.result is not None:
             run.results[line.result.name] = line.result
             run.errors[line.result.name] = error
+            error = ""
+        elif line.error and line.check:
+            run.errors[line.check] = error or printable(line.error)
             error = ""
         elif line.error:
             error = printable(line.error)

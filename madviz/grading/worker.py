@@ -60,7 +60,8 @@ class ReportFile:
             message = f"{content['ename']}: {content['evalue']}".removesuffix(": ")
             if content["ename"] == "KeyboardInterrupt":
                 message = f"did not end within {self._seconds:g} s"
-            self.line(error=printable(f"cell {cell_index + 1}: {message}"[:300]))
+            check = cell.metadata.get("madviz", "")
+            self.line(error=printable(f"cell {cell_index + 1}: {message}"[:300]), check=check)
 
 
 def bound(memory: int) -> None:

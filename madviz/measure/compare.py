@@ -304,8 +304,10 @@ def _stored(store: Store, evidence: Evidence, subset: str) -> dict[int, EpisodeR
 
 
 def _label(evidence: Evidence) -> str:
-    alpha = "" if evidence.alpha is None else f", alpha {evidence.alpha:g}"
-    return f"{evidence.config.method} ({evidence.config.setting}, {evidence.config.recipe}{alpha})"
+    config = evidence.config
+    facts = [config.setting, *([config.camera] if config.camera else []), config.recipe]
+    facts += [] if evidence.alpha is None else [f"alpha {evidence.alpha:g}"]
+    return f"{evidence.method} ({', '.join(facts)})"
 
 
 def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypedDict
 
-from madviz.errors import UserError
+from madviz.errors import UserError, saving
 from madviz.guard.policy import guard_note
 from madviz.measure.audit.audited_policy import repeats_itself
 from madviz.measure.episodes import clipped_words, unsupported
@@ -88,7 +88,8 @@ def compare_conditions(
         table.play([(c, s) for c in played.values() for s in seeds], workers, progress=True)
         found = _document(table, seed, asked, played, guard_note(loaded))
         if page is not None:
-            _show(page, found, table, played)
+            with saving(found, f"--page {page}"):
+                _show(page, found, table, played)
     return found
 
 

@@ -33,6 +33,7 @@ from madviz.policies.seeds import DEVELOPMENT, READ, REPORTING
 from madviz.subsets import cameras_of, mask_of, name_of, single_streams
 from madviz.system.files import write_json, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
+from madviz.system.streams import say
 from madviz.types import Policy, PolicySpec
 from madviz.wire.reference import with_wire
 
@@ -161,13 +162,14 @@ def evaluate(
 
     try:
         table.play([(c, s) for c in conditions for s in seeds], workers, progress)
-    except UserError as error:
+    except Exception as error:  # A policy of the user's may raise anything.
         done = so_far()
         if not done.episodes:
             raise
         count = len(conditions) * episodes
+        why = error if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
         raise Unfinished(
-            f"{error}; {len(done.episodes)} of {count} episodes are done", done
+            f"{why}; {len(done.episodes)} of {count} episodes are done", done
         ) from error
     return so_far()
 
@@ -256,14 +258,17 @@ def run_eval(config: EvalConfig) -> EvaluationFile:
 
 def write_measured(folder: Path, new: EvaluationFile) -> None:
     """Writes evaluation.json and card.md. Where that file has reporting seeds, read ones or not,
-    others go to development.json; where it has development seeds, it moves there when reporting
-    seeds come."""
+    others go to development.json; where it has other seeds, it moves there when reporting seeds
+    come, unless there is such a file already."""
     file = checkpoint.EVALUATION
     known = checkpoint.shipped_evaluation(folder)
     before = seeds_of(known) if known else ""
     now = seeds_of(new)
-    if known and (before, now) == (DEVELOPMENT, REPORTING):
-        write_json(folder / checkpoint.DEVELOPMENT, known)
+    if known and now == REPORTING and before != REPORTING:
+        if before == DEVELOPMENT or not (folder / checkpoint.DEVELOPMENT).exists():
+            write_json(folder / checkpoint.DEVELOPMENT, known)
+        else:
+            say(f"{folder}: rates on {before} seeds give way; development.json stays as it is")
     if before in (REPORTING, READ) and now not in (REPORTING, before):
         file = checkpoint.DEVELOPMENT
         known = checkpoint.shipped_evaluation(folder, file)

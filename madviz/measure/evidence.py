@@ -50,6 +50,13 @@ class Evidence:
         return self.config.training.command or ""
 
     @property
+    def method(self) -> str:
+        """The method, and its merge where that is not the usual one."""
+        name = self.config.method
+        usual = METHODS[name].merge if name in METHODS else "sum"
+        return name if self.config.merge == usual else f"{name} with {self.config.merge}"
+
+    @property
     def alpha(self) -> float | None:
         """The alpha of the training; None where its method has fixed weights, whatever an older
         file says."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from madviz.errors import UserError
+from madviz.errors import Unfinished, UserError
 from madviz.measure.evaluate import evaluate, write_measured
 from madviz.measure.store import Store
 from madviz.policies import checkpoint
@@ -48,15 +48,18 @@ def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> b
     if before is not None and seeds_of(before) == REPORTING and _least(before) >= episodes:
         return False
     say(f"{path}: {episodes} episodes of each subset")
-    made = evaluate(
-        path,
-        None if before is None else before["subsets"],
-        episodes=episodes,
-        seed=FIRST_REPORTING,
-        workers=workers,
-        store=store,
-        progress=True,
-    )
+    try:
+        made = evaluate(
+            path,
+            None if before is None else before["subsets"],
+            episodes=episodes,
+            seed=FIRST_REPORTING,
+            workers=workers,
+            store=store,
+            progress=True,
+        )
+    except Unfinished as stopped:  # What is done is in the store, for the next call.
+        raise UserError(f"{path}: {stopped}") from stopped
     write_measured(path, made.to_json())
     return True
 

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Literal
 
 from madviz.agent.merges import merge_table
-from madviz.agent.methods import METHODS
 from madviz.measure.evidence import Evidence
 
 THREE = ("all", "first", "third_a", "third_b")
@@ -53,10 +52,7 @@ def _with_recipe(name: str, evidence: Evidence) -> str:
 
 def _method(evidence: Evidence) -> str:
     """The method, and what of it is not as usual."""
-    name = evidence.config.method
-    merge = evidence.config.merge
-    usual = METHODS[name].merge if name in METHODS else "sum"
-    return _with_recipe(name if merge == usual else f"{name} with {merge}", evidence)
+    return _with_recipe(evidence.method, evidence)
 
 
 def _in(setting: str, *methods: str) -> Label:

@@ -6,6 +6,7 @@ second time has its policies at once.
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Mapping
@@ -77,7 +78,8 @@ def train_light(
     """Trains with the light recipe, as ``madviz train`` does; ``light`` None is its own size.
 
     A run that is there already is loaded and not repeated, and one that was interrupted is resumed.
-    ``folder`` is where runs are saved, by default a temporary one of this user. Raises UserError
+    ``folder`` is where runs are saved, by default a temporary one of this machine, or of this user
+    where that one belongs to somebody else and does not have the run yet. Raises UserError
     for unknown names, and where the training is stopped before its end.
     """
     from madviz.sweep.run import trained
@@ -88,11 +90,9 @@ def train_light(
     begin()
     light = light or LightConfig()
     config = TrainConfig(task=task, method=method, camera=camera, seed=seed, light=light)
-    root = Path(folder) if folder else Path(tempfile.gettempdir()) / "madviz-lessons"
     own = sha256(repr(light).encode()).hexdigest()[:6]
-    out = (
-        root / f"{resolve(config).spec.name}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
-    )
+    name = f"{resolve(config).spec.name}-{light.rounds}x{light.updates_per_round}-{own}-{seed}"
+    out = Path(folder) / name if folder else _own_folder(name)
     began = time.monotonic()
     done = trained(out)
     if not done:
@@ -114,6 +114,16 @@ def _say(event: dict[str, Any]) -> None:
         minutes = round(event["seconds_left"] / 60)
         left = f" ({minutes} min to go)" if minutes > 1 else ""
         print(f"round {event['round']}: loss {event['loss']:.3f}{left}", end="  ", flush=True)
+
+
+def _own_folder(name: str) -> Path:
+    """The place of the run ``name`` in the folder for temporary files, which users may share."""
+    from madviz.sweep.run import trained
+
+    shared = Path(tempfile.gettempdir()) / "madviz-lessons"
+    if not shared.exists() or os.access(shared, os.W_OK) or trained(shared / name):
+        return shared / name
+    return shared.with_name(f"{shared.name}-{os.getuid()}") / name
 
 
 def _read_curve(file: Path) -> tuple[Mapping[str, Any], ...]:

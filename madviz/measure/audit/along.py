@@ -196,7 +196,8 @@ def along(
     sides: dict[Axis, list[SidePlay]] = {}
     for axis in axes:
         share = 1 / len(axis.sides)
-        sides[axis] = [SidePlay(side, round(episodes * share), share) for side in axis.sides]
+        most = max(1, round(episodes * share))
+        sides[axis] = [SidePlay(side, most, share) for side in axis.sides]
     count = processes(workers) if table.reference else 0
     pool = Workers(count, niceness=5) if count else None
     try:
@@ -223,7 +224,7 @@ def play(
         left = [side for side in sides if not side.done]
         planned = [side for side in left if side.plan(solved)]
         if not planned and (not left or tried >= most):
-            return tried
+            return min(tried, most)
         table.play([one for side in planned for one in side.wanted()], pool or 0, progress)
         for side in planned:
             side.take(table)

@@ -20,7 +20,6 @@ asks how much the action owes to each camera, on recordings (``recorded.py``).
 from __future__ import annotations
 
 import shlex
-import signal
 import sys
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from pathlib import Path
 from typing import Annotated
 
 from madviz.envs.registry import TaskName, env_spec
-from madviz.errors import Interrupted, UserError, saving
+from madviz.errors import Interrupted, UserError, saving, signal_of
 from madviz.guard.policy import guard_note
 from madviz.measure.audit.account import account
 from madviz.measure.audit.along import EPISODES as ALONG_EPISODES
@@ -190,7 +189,7 @@ def run_audit(config: AuditConfig) -> AuditFile | AlongFile | RecordedAuditFile:
         try:
             document, blocks = _measured(config, reference, guarded, policy, store, kept)
         except KeyboardInterrupt as stopped:
-            raise Interrupted(command(config, given_away=False), signal.SIGINT) from stopped
+            raise Interrupted(command(config, given_away=False), signal_of(stopped)) from stopped
     _write(config.out, _name(config), document, blocks)
     return document
 
@@ -317,6 +316,10 @@ def command(config: AuditConfig, given_away: bool = True) -> str:
     if config.wire:
         words += ["--wire", config.wire.name if given_away else str(config.wire)]
     words += ["--guard"] if config.guard else []
+    if not given_away:
+        words += ["--trust"] if config.trust else []
+        words += ["--workers", str(config.workers)] if config.workers is not None else []
+        words += ["--json", config.json] if config.json else []
     if config.recording is not None:
         words += ["--recording", config.recording.name if given_away else str(config.recording)]
         words += ["--episodes", str(config.episodes)] if config.episodes else []
