@@ -22,7 +22,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
-from madviz.envs.registry import RenderProfile, TaskName, make_env
+from madviz.envs.custom import is_own
+from madviz.envs.registry import RenderProfile, TaskName, env_spec, make_env
 from madviz.errors import UserError
 from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
 from madviz.system.browser import find_browser
@@ -197,7 +198,8 @@ def time_frames(
 ) -> dict[str, dict[str, float]]:
     """Milliseconds of one frame by render profile and camera, the median of ``repeats``."""
     table: dict[str, dict[str, float]] = {}
-    for profile in get_args(RenderProfile):
+    profiles = [env_spec(task).render_profile] if is_own(task) else get_args(RenderProfile)
+    for profile in profiles:
         env = make(task, profile)
         env.reset(seed=0)
         table[profile] = {}

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from madviz.envs.cameras import look_at, read_cameras
+from madviz.envs.checks import resized_cameras
 from madviz.envs.metaworld.environment import CAMERAS
 from madviz.envs.placement import drawn_cameras
 from madviz.envs.registry import (
@@ -168,6 +169,21 @@ def test_own_cameras_come_in_the_modalities_of_the_setting(tmp_path: Path) -> No
     streams = choose(TASK, "three-rgbd", written(tmp_path, GOOD))[0].streams
     assert streams == ("left.rgb", "left.depth", "wrist.rgb", "wrist.depth")
     assert choose(TASK, "five") == (setting("five"), setting_cameras(TASK, "five"))
+
+
+def test_a_file_may_change_the_size_of_a_camera_that_stays_where_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "cameras.toml"
+    file.write_text(
+        '[[camera]]\nname = "third_a"\nposition = [0, 0, 2.2]\n'
+        "wxyz = [0.92388, 0, 0, 0.382683]\nsize = 64\n"
+    )
+    (given,) = read_cameras(file)
+    own = make_env("toy/reach").spec.cameras
+    found = resized_cameras("toy/reach", own, (given,))
+    expected = [replace(one, size=64) if one.name == "third_a" else one for one in own]
+    assert list(found) == expected, "with its own label and numbers"
+    with pytest.raises(UserError, match="'third_a' placed elsewhere"):
+        resized_cameras("toy/reach", own, (replace(given, position=(0, 0.01, 2.2)),))
 
 
 @pytest.mark.parametrize(

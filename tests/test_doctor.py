@@ -61,6 +61,13 @@ def test_frames_are_timed_for_every_profile_and_camera() -> None:
     assert all(ms > 0 for profile in frames.values() for ms in profile.values())
 
 
+def test_a_task_of_ones_own_is_timed_in_the_profile_that_it_has(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MADVIZ_TASKS", "madviz.examples.own_task:make")
+    assert list(doctor.time_frames("madviz.examples.own_task:make", repeats=1)) == ["fast"]
+
+
 def test_a_machine_without_anything_gets_a_whole_report(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "probe_opengl", lambda backend: None)
     monkeypatch.setattr(doctor, "find_library", lambda name: None)

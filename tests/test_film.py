@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -12,6 +13,7 @@ from PIL import Image
 from madviz import cli
 from madviz.envs.registry import env_spec, make_env
 from madviz.measure.statistics import SuccessRate
+from madviz.observation.condition import Condition
 from madviz.observation.schedule import parse_schedule
 from madviz.recording import film, record, scene_view
 from madviz.recording.film import chapters
@@ -19,7 +21,7 @@ from madviz.recording.film_files import SmallFilm
 from madviz.recording.frames import frames
 from madviz.recording.scene_view import KeepsActions, SceneView
 from madviz.session.session import Session
-from tests.fakes import policies
+from tests.fakes import FakePolicy, policies
 from tests.mistakes import refused
 
 HORIZON = 25
@@ -88,6 +90,41 @@ def test_the_scene_is_that_of_the_same_step() -> None:
     assert np.array_equal(scene._env.hand(), episode[HORIZON].world.hand)
 
 
+class NothingPlayed:
+    """A table without an episode."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def outcomes(self, condition: Condition) -> dict[int, bool]:
+        return {}
+
+
+def test_policies_of_one_name_have_their_own_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = (replace(FakePolicy().spec, digest=digest) for digest in ("a", "b"))
+    rates = {
+        folder: {"all": {"success": rate, "n": 50}}
+        for folder, rate in (("runs/a", 1.0), ("runs/b", 0.2))
+    }
+    monkeypatch.setattr(film.checkpoint, "is_folder", lambda reference: bool(reference))
+    monkeypatch.setattr(film, "Table", NothingPlayed)
+    monkeypatch.setattr(
+        film.checkpoint, "shipped_evaluation", lambda folder: {"subsets": rates[folder]}
+    )
+    known = film.known_rates({film.known_as(first): "runs/a", film.known_as(second): "runs/b"})
+    assert [known(spec, Condition("all")).value for spec in (first, second)] == [1.0, 0.2]
+
+
+def test_a_scene_of_a_task_with_small_views_is_drawn_larger(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session = Session(make_env, policies("toy-mad"), policies, seed=5, speed=None)
+    (frame, *_) = frames(session, None)
+    monkeypatch.setattr(scene_view, "largest_view", lambda profile: 30)
+    scene = SceneView(frame, 60, 40)
+    scene.begin(5)
+    assert scene.picture([]).shape == (40, 60, 3)
+
+
 def test_a_small_film_leaves_pictures_out_and_keeps_its_length(tmp_path: Path) -> None:
     small = SmallFilm(tmp_path / "x.webp")
     for number in range(8):
@@ -106,6 +143,7 @@ def test_a_small_film_leaves_pictures_out_and_keeps_its_length(tmp_path: Path) -
         (("--out", "x.rrd"), "expected a name that ends in .mp4 or .webp, found .rrd"),
         (("--steps", "3"), "expected whole episodes with --vs"),
         (("--vs", "wurst"), "unknown policy 'wurst'"),
+        (("--video",), "expected --vs without --video and --noise"),
     ],
 )
 def test_a_mistake_is_one_line(

@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 from madviz.envs.registry import make_env
+from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.recorded.recordings import open_recordings
 from madviz.recording import lerobot
@@ -25,6 +26,7 @@ from madviz.recording import record as recording
 from madviz.recording.dataset_films import DatasetFilms
 from madviz.recording.lerobot import Decision, expert_decisions, policy_decisions, write_dataset
 from madviz.recording.record import RecordConfig, record_words, run_record
+from madviz.types import Array, TimeStep
 from tests.fakes import FakePolicy, NanPolicy, policies
 from tests.mistakes import refused
 
@@ -141,6 +143,30 @@ def test_a_camera_that_a_policy_cannot_do_without_is_named_with_its_step() -> No
             list(policy_decisions(AllOrNothing(), env, schedule, 3))
 
 
+class Short(ToyReach):
+    """Ends at its fifth decision."""
+
+    def reset(self, seed: int) -> TimeStep:
+        self.left = 5
+        return super().reset(seed)
+
+    def step(self, action: Array) -> TimeStep:
+        self.left -= 1
+        return replace(super().step(action), last=self.left == 0)
+
+
+def test_an_episode_ends_where_the_environment_ends_it(tmp_path: Path) -> None:
+    env = Short("reach")
+    played = [
+        expert_decisions(env, CAMERAS, 0.0, 7),
+        policy_decisions(FakePolicy(), env, (), 7),
+    ]
+    ends, decisions = write_dataset(tmp_path / "set", env.spec, 10, iter(played))
+    assert len(ends) == 2 and decisions == 10
+    table = pq.read_table(tmp_path / "set" / "data/chunk-000/file-000.parquet")
+    assert table["next.done"].to_pylist() == ([False] * 4 + [True]) * 2
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -160,6 +186,10 @@ def test_a_camera_that_a_policy_cannot_do_without_is_named_with_its_step() -> No
         ),
         (("--format", "lerobot", "--policy", "toy-mad", "--out", "a/x"), "make a first"),
         (("--policy", "toy-mad", "--video", "--out", "x.mp4"), "expected --format lerobot beside"),
+        (
+            ("--format", "lerobot", "--expert", "toy/reach", "--vs", "wurst", "--out", "x"),
+            "expected --format without --vs and --acts",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(

@@ -6,6 +6,8 @@ import os
 import re
 import sys
 import threading
+from contextlib import closing
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,8 +30,10 @@ from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from madviz.session.session_reader import read_session
+from madviz.types import View
 from tests.fakes import FakePolicy, NanPolicy, policies
 from tests.mistakes import refused
+from tests.sessions import frame_with
 
 CAMERAS = ("first", "third_a", "third_b")
 DROPS = ("third_a@3-8", "first=black@5")
@@ -143,6 +147,22 @@ def test_a_rerun_file_holds_every_step(tmp_path: Path) -> None:
     assert blueprint.application_id == "madviz"
     # Raw pixels of three views would be 63 KB a step.
     assert path.stat().st_size < 26 * 16_000
+
+
+def test_a_frustum_is_as_large_as_its_picture(tmp_path: Path) -> None:
+    """Also where a camera is drawn at another size than a policy takes."""
+    path = tmp_path / "x.rrd"
+    frame = frame_with()
+    shown = {
+        **frame.world.views,
+        "first": View(np.zeros((48, 48, 3), np.uint8), np.ones((48, 48), np.float32)),
+    }
+    world = replace(frame.world, views=shown)
+    with closing(writer_for(path, FACTS)) as writer:
+        writer.add(replace(frame, world=world))
+    entity = "/world/cameras/first"
+    assert first_of(path, entity, ":resolution")[0] == [84, 84]
+    assert decode(columns(path)[f"{entity}/picture"][0]).shape[:2] == (84, 84)
 
 
 def test_the_viewer_opens_with_the_view_of_the_page(tmp_path: Path) -> None:
@@ -317,6 +337,10 @@ def test_a_link_is_followed_and_a_pipe_written_to(tmp_path: Path) -> None:
             "expected a saved session to have seed, failures and length of its own",
         ),
         (("--policy", "wurst", "--out", "x.mp4"), "unknown policy 'wurst'"),
+        (
+            ("--policy", "toy-mad", "--drop", "first=black@25", "--out", "x.mp4"),
+            "expected failures before step 25, where toy/reach ends, found 'first' at step 25",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_no_file(

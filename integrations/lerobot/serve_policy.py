@@ -80,6 +80,7 @@ class LeRobotPolicy:
         self.shapes = {name: config.image_features[key].shape[1:] for name, key in keys.items()}
         """Rows and columns by stream."""
         self._keys = keys
+        renamed = {name: key for name, key in keys.items() if name != key.removeprefix(PREFIX)}
         check_features(config, env, keys, letterbox, folder)
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = processors(config, folder)
@@ -95,7 +96,7 @@ class LeRobotPolicy:
             frame_stack=1,
             render_profile=env.render_profile,
             cameras=tuple(replace(env.camera(name), size=largest) for name in keys),
-            digest=digest_of(folder, action_steps),
+            digest=digest_of(folder, action_steps, renamed, letterbox),
             state_dim=env.state_dim,
             action_dim=env.action_dim,
             horizon=env.horizon,
@@ -258,11 +259,15 @@ def processors(config: Any, folder: Path) -> tuple[Any, Any]:
     return before, after
 
 
-def digest_of(folder: Path, action_steps: int | None) -> str:
-    """A name for this version of the policy."""
+def digest_of(
+    folder: Path, action_steps: int | None, renamed: dict[str, str], letterbox: bool
+) -> str:
+    """A name for this version of the policy: with its cameras ``renamed`` otherwise, it is another
+    one."""
+    served = [sorted(renamed.items()), letterbox] if renamed or letterbox else ""
     names = [*folder.glob("*.json"), *folder.glob("*.safetensors")]
     read = [each.read_bytes() for each in sorted(names) if each.name != "training.json"]
-    return hashlib.sha256(b"".join(read) + str(action_steps).encode()).hexdigest()
+    return hashlib.sha256(b"".join(read) + f"{action_steps}{served}".encode()).hexdigest()
 
 
 def cameras_named(words: list[str]) -> dict[str, str]:

@@ -43,11 +43,19 @@ def resized_cameras(
     UserError for a camera with another name, or at another place."""
     cameras = {camera.name: camera for camera in own}
     for camera in given:
-        if camera.name not in cameras or replace(cameras[camera.name], size=camera.size) != camera:
+        if camera.name not in cameras or not _same_place(cameras[camera.name], camera):
             raise UserError(
                 f"{task} has the cameras {', '.join(cameras)} where they are, and no others; found "
                 f"{camera.name!r} placed elsewhere; leave it out, or take a task of Meta-World or "
                 "ManiSkill"
             )
-    cameras |= {camera.name: camera for camera in given}
+    cameras |= {one.name: replace(cameras[one.name], size=one.size) for one in given}
     return tuple(cameras.values())
+
+
+def _same_place(own: CameraSpec, given: CameraSpec) -> bool:
+    """True where the numbers of ``given`` are those of ``own``, as far as a file writes them."""
+    numbers = [
+        np.array([*one.position, *one.wxyz, one.fovy, *one.depth_range]) for one in (own, given)
+    ]
+    return own.body == given.body and bool(np.allclose(*numbers, atol=1e-4, rtol=0))

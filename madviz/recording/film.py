@@ -77,14 +77,20 @@ def _words(event: Event, env: EnvSpec) -> str:
     return f"{env.camera(event.camera).label} {does} from step {event.step}"
 
 
+def known_as(spec: PolicySpec) -> str:
+    """A policy's digest, as trainings of one kind share a name; its name where it has none."""
+    return spec.digest or spec.name
+
+
 def known_rates(references: dict[str, str]) -> RateOf:
     """The known rates of policies: from their own evaluation, or from ``madviz eval`` here, which
-    of both has more episodes. ``references``: by a policy's name, that for ``load_policy``."""
+    of both has more episodes. ``references``: by ``known_as`` of a policy, that for
+    ``load_policy``."""
 
     store = Store()
 
     def rate(spec: PolicySpec, condition: Condition) -> SuccessRate:
-        reference = references.get(spec.name, "")  # None of a guarded policy.
+        reference = references.get(known_as(spec), "")  # None of a guarded policy.
         table = Table(reference, spec, store)
         found = SuccessRate.counted(table.outcomes(condition).values())
         measured = (
@@ -137,7 +143,7 @@ def write_film(
             f"--vs: expected a policy for {tasks[0]}, found one for {tasks[1]}; choose two of one "
             "task"
         )
-    rates = known_rates({spec.name: reference for reference, spec in specs.items()})
+    rates = known_rates({known_as(spec): reference for reference, spec in specs.items()})
     film: Film = SmallFilm(path) if path.suffix == ".webp" else LargeFilm(path, fps)
     rows: list[ChapterRow] = []
     titles: list[tuple[float, str]] = []

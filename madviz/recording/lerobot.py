@@ -94,6 +94,8 @@ def expert_decisions(
         action = env.expert()
         now = env.step(np.clip(action + next(pushed), -1, 1).astype(np.float32))
         yield Decision(pictures, everything, state, action, now.reward, now.success)
+        if now.last:
+            return
 
 
 def policy_decisions(
@@ -122,6 +124,8 @@ def policy_decisions(
             action = player.act(policy.encode(stack.views, state), mask)
             now = env.step(action)
             yield Decision(pictures, mask, state, action, now.reward, now.success)
+            if now.last:
+                return
 
 
 def write_dataset(
@@ -130,22 +134,23 @@ def write_dataset(
     fps: float,
     episodes: Iterator[Iterator[Decision]],
     video: bool = False,
-) -> list[bool]:
-    """Writes all of ``episodes`` in ``env`` to the folder ``out``; whether each ended in success.
-    The folder appears when it is complete. Raises UserError for a folder that is there already, for
-    a depth that does not fit, and for pictures that no film can hold."""
+) -> tuple[list[bool], int]:
+    """Writes all of ``episodes`` in ``env`` to the folder ``out``; whether each ended in success,
+    and how many decisions they have. The folder appears when it is complete. Raises UserError for a
+    folder that is there already, for a depth that does not fit, and for pictures that no film can
+    hold."""
     check_folder(out)
     try:
         with new_folder(out) as part:
             dataset = LeRobotFolder(part, env, fps, video)
             ends = [dataset.add(list(episode)) for episode in episodes]
             dataset.close()
+            return ends, dataset.frames
     except OSError as error:
         raise UserError(
             f"--out {out}: could not be written: {error.strerror}; make room there or choose "
             "another"
         ) from error
-    return ends
 
 
 def check_folder(out: Path) -> None:
@@ -175,7 +180,8 @@ class LeRobotFolder:
         self._tallies: dict[str, Array] = {}
         self._writer: pq.ParquetWriter | None = None
         self._file = 0
-        self._frames = 0
+        self.frames = 0
+        """Decisions so far."""
 
     def add(self, decisions: Sequence[Decision]) -> bool:
         """Writes an episode; whether it ended in success."""
@@ -204,8 +210,8 @@ class LeRobotFolder:
             data[name] = _column(column)
             self._columns.setdefault(name, []).append(column)
         place = self._write(pa.table(data))
-        first = self._frames
-        self._frames += len(decisions)
+        first = self.frames
+        self.frames += len(decisions)
         self._episodes.append(
             {
                 "episode_index": len(self._episodes),
@@ -214,7 +220,7 @@ class LeRobotFolder:
                 "data/chunk_index": 0,
                 "data/file_index": place,
                 "dataset_from_index": first,
-                "dataset_to_index": self._frames,
+                "dataset_to_index": self.frames,
                 **filmed,
                 **{f"stats/{k}/{what}": v for k, each in stats.items() for what, v in each.items()},
                 "meta/episodes/chunk_index": 0,
@@ -230,12 +236,12 @@ class LeRobotFolder:
         if self._films:
             self._films.close()
         count = len(self._episodes)
-        described_by = info(self._features, count, self._frames, self._fps)
+        described_by = info(self._features, count, self.frames, self._fps)
         write_json(self._made("meta/info.json"), described_by)
         whole = {name: described(np.concatenate(each)) for name, each in self._columns.items()}
         for name, tallied in self._tallies.items():
             span = depth_range_of(name, self._env)
-            whole[_key(name)] = described_pictures(tallied, self._frames, span)
+            whole[_key(name)] = described_pictures(tallied, self.frames, span)
         write_json(self._made("meta/stats.json"), whole)
         pq.write_table(tasks_table(self._task), self._made("meta/tasks.parquet"))
         where = "meta/episodes/chunk-000/file-000.parquet"
@@ -259,7 +265,7 @@ class LeRobotFolder:
             "timestamp": all_of([step / self._fps for step in steps], np.float32),
             "frame_index": all_of([*steps], np.int64),
             "episode_index": all_of([len(self._episodes)] * length, np.int64),
-            "index": all_of([*(self._frames + steps)], np.int64),
+            "index": all_of([*(self.frames + steps)], np.int64),
             "task_index": all_of([0] * length, np.int64),
         }
 

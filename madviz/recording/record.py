@@ -153,6 +153,8 @@ def check_film(config: RecordConfig) -> None:
             "expected whole episodes with --vs, found --replay, --keep, --steps, --episode or "
             "--expert; leave them out"
         )
+    if config.video or config.noise:
+        raise UserError("expected --vs without --video and --noise, found one; leave it out")
     check_out(config.out, (".mp4", ".webp"))
 
 
@@ -168,6 +170,8 @@ def check_dataset(config: RecordConfig) -> None:
             "expected whole episodes with --format, found --replay, --keep, --steps or --episode; "
             "leave them out"
         )
+    if config.vs is not None or config.acts:
+        raise UserError("expected --format without --vs and --acts, found one; leave it out")
     if config.expert is not None and (config.drop or config.scenario):
         raise UserError(
             "expected an expert to need no cameras, found --drop or --scenario; leave them out"
@@ -288,8 +292,9 @@ def run_dataset(config: RecordConfig) -> dict[str, Any]:
             else lerobot.expert_decisions(env, streams, config.noise, seed)
             for seed in seeds
         )
-        ends = lerobot.write_dataset(config.out, env.spec, config.fps, played, config.video)
-        decisions = len(ends) * env.spec.horizon
+        ends, decisions = lerobot.write_dataset(
+            config.out, env.spec, config.fps, played, config.video
+        )
     return {
         "schema": 1,
         "out": str(config.out),
@@ -375,10 +380,18 @@ def _reference(config: RecordConfig) -> str:
 
 
 def _schedule(config: RecordConfig, env: EnvSpec) -> Schedule:
-    """The schedule of the scenario and of ``--drop`` together."""
+    """The schedule of the scenario and of ``--drop`` together. Raises UserError for a failure that
+    no decision would see."""
     named = scenario(config.scenario).schedule(env) if config.scenario else ()
     cameras = [camera.name for camera in env.cameras]
-    return in_order([*named, *parse_schedule(config.drop, cameras)])
+    events = in_order([*named, *parse_schedule(config.drop, cameras)])
+    for event in events:
+        if event.step >= env.horizon:
+            raise UserError(
+                f"expected failures before step {env.horizon}, where {env.task} ends, found "
+                f"{event.camera!r} at step {event.step}; let it fail earlier"
+            )
+    return events
 
 
 def _session(

@@ -108,6 +108,8 @@ class RerunWriter:
         off = not frame.uses(name)
         pose = world.poses[name]
         picture = world.views[name].rgb
+        for stream in (f"{name}.rgb", name):
+            picture = world.arrived.get(stream, picture)
         w, x, y, z = (float(number) for number in pose.wxyz)
         size = picture.shape[0]
         path = f"world/cameras/{name}"
@@ -122,8 +124,6 @@ class RerunWriter:
                 color=(110, 112, 116) if off else rgb(camera_colours(world.env.cameras)[name]),
             ),
         )
-        for stream in (f"{name}.rgb", name):
-            picture = world.arrived.get(stream, picture)
         self._picture(f"{path}/picture", (picture // 4) if off else picture)
 
     def _picture(self, path: str, picture: Array) -> None:

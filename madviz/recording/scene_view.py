@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from madviz.drawing.viewpoint import FOV, first_view, place_and_target, things
 from madviz.envs.cameras import look_at
+from madviz.envs.checks import largest_view
 from madviz.envs.custom import is_own
 from madviz.envs.registry import make_env
 from madviz.session.frame import Frame
@@ -51,6 +53,7 @@ class SceneView:
         self._env = make_env(world.env.task, profile, world.policy.cameras)
         self._width = width
         self._height = height
+        self._drawn = min(width, largest_view(profile))
         self._camera = self._env.spec.cameras[0]
         self._steps = 0
         half = np.tan(FOV / 2) * width / height
@@ -77,7 +80,9 @@ class SceneView:
         for action in actions[self._steps :]:
             self._env.step(action)
         self._steps = len(actions)
-        square = self._env.view(self._camera.name, self._width).rgb  # (width, width, 3)
+        square = self._env.view(self._camera.name, self._drawn).rgb
+        if self._drawn != self._width:
+            square = cv2.resize(square, (self._width, self._width))  # (width, width, 3)
         above = (self._width - self._height) // 2
         return square[above : above + self._height]
 
