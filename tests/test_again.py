@@ -30,6 +30,22 @@ def test_a_stopped_training_is_repeated_as_long_as_it_got(finished, steps) -> No
     assert again(asked, steps=90, finished=finished) == expected
 
 
+@pytest.mark.parametrize(
+    ("recipe", "option"),
+    [("paper", "paper"), ("paper-vectorised", "vectorised"), ("mv-mwm", "mv-mwm")],
+)
+def test_a_training_of_the_usual_length_that_was_stopped_says_how_far_it_got(
+    recipe: str, option: str
+) -> None:
+    asked = f"{PLAIN} --recipe {recipe}"
+    expected = f"{asked} --{option}.steps 90 --out runs/toy"
+    assert again(asked, steps=90, finished=False) == expected
+    assert again(asked, steps=90, finished=True) == f"{asked} --out runs/toy"
+    other = f"{asked} --{option}.exploration-steps 7"
+    expected = f"{other} --{option}.steps 90 --out runs/toy"
+    assert again(other, steps=90, finished=False) == expected
+
+
 def test_rounds_are_no_steps() -> None:
     asked = f"{PLAIN} --light.rounds 3"
     assert again(asked, environment_steps=90, finished=False) == f"{asked} --out runs/toy"

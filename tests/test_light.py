@@ -291,3 +291,12 @@ def test_a_file_is_not_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="expected a folder"):
         RunFolder(tmp_path / "file", TINY, resume=False, listener=None)
+
+
+def test_a_card_says_who_drove_the_episodes() -> None:
+    assert "the student's own states" in LightConfig().how
+    assert LightConfig().driven_by_expert(98) == 10
+    expert = LightConfig(drivers="expert")
+    assert "drove all episodes" in expert.how and expert.driven_by_expert(98) == 98
+    kept = LightConfig(episodes="runs/other")
+    assert "another run's episodes" in kept.how and kept.driven_by_expert(98) == 10

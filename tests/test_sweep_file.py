@@ -53,12 +53,12 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
     file = tmp_path / "one.toml"
     file.write_text(
         '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = [4]\n[grid.train]\n'
-        'light.rounds = 2\npaper.buffer-on-disk = true\n[eval]\nsubsets = ["all", "none"]\n'
+        'light.rounds = 2\nlight.keep-episodes = true\n[eval]\nsubsets = ["all", "none"]\n'
     )
     run = read_plan(file).runs[0]
     if command == "train":
         found = cli.parse("train", run.train)
-        assert (found.seed, found.light.rounds, found.paper.buffer_on_disk) == (4, 2, True)
+        assert (found.seed, found.light.rounds, found.light.keep_episodes) == (4, 2, True)
     else:
         asked = cli.parse("eval", ["--policy", "p", *run.evaluate, "--card"])
         assert asked.subsets == ("all", "none") and asked.card
@@ -112,6 +112,26 @@ def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path:
     with pytest.raises(UserError, match=expected):
         run_sweep(SweepConfig(str(file), out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+
+
+def test_an_option_counts_for_the_recipe_that_has_it(tmp_path: Path) -> None:
+    file = tmp_path / "two.toml"
+    grid = '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n'
+    file.write_text(f'{grid}recipes = ["light", "paper"]\n[grid.train]\nlight.alpha = [0.2, 0.8]\n')
+    light, other, paper = read_plan(file).runs
+    assert [run.name for run in (light, other, paper)] == [
+        "toy-reach-mad-light-alpha0.2-seed1",
+        "toy-reach-mad-light-alpha0.8-seed1",
+        "toy-reach-mad-paper-seed1",
+    ]
+    assert "--light.alpha" not in paper.train and "--light.alpha" in light.train
+    for word, said in (
+        ("light.roundz = 20", "unknown option of madviz train 'light.roundz'; did you mean"),
+        ("vectorised.steps = 20", "with the recipe paper-vectorised, found light, paper; leave"),
+    ):
+        file.write_text(f'{grid}recipes = ["light", "paper"]\n[grid.train]\n{word}\n')
+        with pytest.raises(UserError, match=said):
+            read_plan(file)
 
 
 def test_a_missing_file_and_no_jobs_at_all_are_mistakes(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
     other = write_policy(tmp_path, GOOD, alpha=0.8, folder="other")
     file = other / "config.json"
     config = json.loads(file.read_text())
-    config["training"]["command"] += " --light.alpha 0.8 --light.no-critic --out x"
+    config["training"]["command"] += " --light.alpha 0.8 --light.no-standard-state --out x"
     file.write_text(json.dumps(config))
     report(tmp_path)
     overall = read_plan(tmp_path / "sweeps" / "overall.toml").runs
@@ -26,7 +26,7 @@ def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
     plain, changed = sorted(
         read_plan(tmp_path / "sweeps" / "alpha.toml").runs, key=lambda r: r.name
     )
-    assert plain.name == "metaworld-hammer-mad-light-alpha0.8-criticFalse-seed1"
+    assert plain.name == "metaworld-hammer-mad-light-alpha0.8-standard-stateFalse-seed1"
     assert changed.name == "metaworld-hammer-mad-light-seed1"
 
 

@@ -298,3 +298,16 @@ def test_the_light_recipe_learns_toy_reach_from_any_camera(tmp_path: Path) -> No
     assert rows["all"]["success"] >= 0.9, rows
     singles = [rows[name]["success"] for name in ("first", "third_a", "third_b")]
     assert np.mean(singles) >= 0.7, rows
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("--recipe", "paper-vectorised", "--paper.alpha", "0.5"), "--paper.alpha"),
+        (("--paper.steps=5000",), "--paper.steps"),
+        (("--recipe=paper", "--light.keep-episodes"), "--light.keep-episodes"),
+    ],
+)
+def test_an_option_of_another_recipe_is_refused(words: tuple[str, ...], option: str) -> None:
+    with pytest.raises(UserError, match=f"expected {option} with --recipe .*no use for it"):
+        cli.parse("train", ["--task", "toy/reach", *words])

@@ -3,8 +3,9 @@
     asked for                 stopped at    again
     --paper.steps 150000      90,816        --paper.steps 90816
     --paper.steps 150000      –             --paper.steps 150000
+    –                         90,816        --paper.steps 90816
 
-A training that was stopped is repeated as long as it got, not as long as was asked for.
+A training by rewards that was stopped is repeated as long as it got, not as long as was asked for.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ RUNS = "runs"
 OUT = "--out"
 RESUME = "--resume"
 STEPS = ".steps"
+RECIPE = "--recipe"
+SECTIONS = {"paper": "paper", "paper-vectorised": "vectorised", "mv-mwm": "mv-mwm"}
+"""Recipes whose length is a number of steps, and where their options stand."""
 
 
 def words_again(training: TrainingRecord) -> list[str]:
@@ -28,11 +32,19 @@ def words_again(training: TrainingRecord) -> list[str]:
     if OUT in words:
         place = words.index(OUT)
         del words[place : place + 2]
-    if training.finished is False and training.steps:
-        for place, word in enumerate(words[:-1]):
-            if word.startswith("--") and word.endswith(STEPS):
-                words[place + 1] = str(training.steps)
+    if training.finished is False and training.steps and words:
+        asked = [place for place, word in enumerate(words[:-1]) if is_length(word)]
+        for place in asked:
+            words[place + 1] = str(training.steps)
+        recipe = words[words.index(RECIPE) + 1] if RECIPE in words[:-1] else ""
+        if not asked and recipe in SECTIONS:
+            words += [f"--{SECTIONS[recipe]}{STEPS}", str(training.steps)]
     return words
+
+
+def is_length(word: str) -> bool:
+    """True for the option that says how many steps a training takes."""
+    return word in {f"--{section}{STEPS}" for section in SECTIONS.values()}
 
 
 def command_again(training: TrainingRecord, name: str) -> str:

@@ -26,6 +26,7 @@ anything runs.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -35,10 +36,12 @@ import msgspec
 
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task, setting
-from madviz.errors import UserError
+from madviz.errors import UserError, unknown
 from madviz.sweep.run import Run
 from madviz.system.files import read_toml
+from madviz.system.options import options as options_of
 from madviz.system.typed import typed
+from madviz.training.config import TrainConfig, recipe_of
 
 FIX = "fix the sweep file"
 Names = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
@@ -111,6 +114,7 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
             "tasks, methods, settings, recipes and seeds are lists in [grid], folders are ours"
         )
     _check(grid)
+    _check_options(path, options, grid.recipes)
     varied = {key: value for key, value in options.items() if isinstance(value, list)}
     if grid.name and varied:
         raise UserError(
@@ -120,15 +124,33 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
     axes = product(grid.tasks, grid.methods, grid.settings, grid.recipes, grid.seeds)
     runs = []
     for task, name, where, recipe, seed in axes:
-        for values in product(*varied.values()):
-            chosen = dict(zip(varied, values, strict=True))
+        mine = {key: value for key, value in options.items() if recipe_of(key) in (None, recipe)}
+        axes_here = {key: values for key, values in varied.items() if key in mine}
+        for values in product(*axes_here.values()):
+            chosen = dict(zip(axes_here, values, strict=True))
             train = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
-            train += ["--seed", str(seed), *_options({**options, **chosen})]
+            train += ["--seed", str(seed), *_options({**mine, **chosen})]
             words = [f"{key.split('.')[-1]}{value}" for key, value in chosen.items()]
             words += [grid.name] if grid.name else []
             label = _name(task, name, where, recipe, words, seed)
             runs.append(Run(label, tuple(train), evaluation))
     return runs
+
+
+def _check_options(path: Path, asked: Table, recipes: Sequence[str]) -> None:
+    """Raises UserError for an option that ``madviz train`` does not have, or that none of
+    ``recipes`` uses."""
+    named = [name for name, *_ in options_of(TrainConfig)]
+    known = [name.removeprefix("--") for name in [*named, *TrainConfig.renamed_options()]]
+    for key in asked:
+        recipe = recipe_of(key)
+        if recipe is not None and recipe not in recipes:
+            raise UserError(
+                f"{path}: expected {key} in a grid with the recipe {recipe}, found "
+                f"{', '.join(recipes)}; leave it out"
+            )
+        if key not in known and not key.startswith("own."):
+            raise UserError(f"{path}: {unknown('option of madviz train', key, known)}")
 
 
 def _check(grid: Grid) -> None:

@@ -137,7 +137,8 @@ RECIPES.update({recipe.name: recipe for recipe in _recipes()})
 
 def default_config(words: Sequence[str]) -> TrainConfig:
     """The values that a command line changes: ``own`` has the options of the method that ``words``
-    choose, with the defaults of their recipe, so that a reader of types finds these options."""
+    choose, with the defaults of their recipe, so that a reader of types finds these options. Raises
+    UserError for an option of another recipe, or of a method that has none."""
     chosen = {"--method": "mad", "--merge": "", "--recipe": "light"}
     for word, following in zip(words, [*words, ""][1:], strict=True):
         option, joined, value = word.partition("=")
@@ -148,6 +149,12 @@ def default_config(words: Sequence[str]) -> TrainConfig:
     own = _default_own(merge, chosen["--recipe"])
     for option in (word.partition("=")[0] for word in words):
         option = TrainConfig.renamed_options().get(option, option)
+        recipe = recipe_of(option.removeprefix("--")) if option.startswith("--") else None
+        if recipe not in (None, chosen["--recipe"]):
+            raise UserError(
+                f"expected {option:.60} with --recipe {recipe}, found it with the recipe "
+                f"{chosen['--recipe']!r:.60}, which has no use for it; leave it out"
+            )
         if option.startswith("--own.") and type(own) is OwnOptions:
             having = [name for name in MERGES if own_options(name).of_recipe("") != own]
             raise UserError(
@@ -155,6 +162,13 @@ def default_config(words: Sequence[str]) -> TrainConfig:
                 f"({', '.join(having)}), found it with {chosen['--method']!r}; leave it out"
             )
     return TrainConfig(own=own)
+
+
+def recipe_of(option: str) -> str | None:
+    """The only recipe that uses ``light.rounds`` and the like; None for an option of all."""
+    section, dot, _ = option.replace("_", "-").partition(".")
+    names = {recipe.options.replace("_", "-"): name for name, recipe in RECIPES.items()}
+    return names.get(section) if dot else None
 
 
 def _default_own(merge: str, recipe: str) -> OwnOptions:

@@ -66,7 +66,7 @@ OFFERS = {
     "mv-mwm": Offer(
         "reinforcement learning in the imagination of a world model; hours here",
         {
-            "trial": ("--mv-mwm.steps", "3000"),
+            "trial": ("--mv-mwm.steps", "3000", "--mv-mwm.exploration-steps", "1000"),
             "short": (),
             "full": ("--mv-mwm.steps", "100000"),
         },

@@ -359,10 +359,9 @@ def _save(run: LightRun, folder: RunFolder, final: bool) -> None:
     if updates:
         fit_critic(run.average, run.data, plan.method, config.alpha, updates, plan.seed)
     record = TrainingRecord(
-        how="imitation of a scripted expert that labels the student's own states; "
-        "not reinforcement learning from scratch",
+        how=f"{config.how}; not reinforcement learning from scratch",
         command=plan.command,
-        expert_demonstrations=config.demonstrations,
+        expert_demonstrations=config.driven_by_expert(run.data.episodes),
         labelled_episodes=run.data.episodes,
         environment_steps=len(run.data) * plan.env.action_repeat,
         updates=run.updates,

@@ -112,6 +112,20 @@ class LightConfig(RecipeOptions):
         """Rounds of updates."""
         return self.rounds + self.final_rounds
 
+    @property
+    def how(self) -> str:
+        """What is learned from, in words."""
+        if self.episodes:
+            return "imitation of a scripted expert that labels the states of another run's episodes"
+        if self.drivers == "expert":
+            return "imitation of a scripted expert, which drove all episodes"
+        return "imitation of a scripted expert that labels the student's own states"
+
+    def driven_by_expert(self, episodes: int) -> int:
+        """How many of ``episodes`` the expert drove."""
+        alone = self.drivers == "expert" and not self.episodes
+        return episodes if alone else self.demonstrations
+
     def threads(self) -> int:
         """One: the recorder has the other core."""
         return 1
