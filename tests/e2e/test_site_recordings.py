@@ -54,6 +54,19 @@ def test_a_browser_that_cannot_simulate_plays_recordings(page) -> None:
     assert page.get_by_role("button", name="Run 20").count() == 0
 
 
+def test_the_first_scene_is_live_whatever_was_played_before(browser, folder: Path) -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(30_000)
+    with served(folder) as url:
+        page.goto(f"{url}#policy=toy-mad")
+        assert "A recording" in until(page, "CC BY-NC", ".side .about")
+        page.get_by_role("button", name="Show me first").click()
+        page.wait_for_selector("body[data-mode=opening]")
+        page.wait_for_function("() => document.querySelectorAll('.side').length === 2")
+        assert "A recording" not in page.locator("#stage").inner_text()
+    page.close()
+
+
 def test_a_recording_that_is_cut_off_gets_a_sentence_and_the_page_lives(page) -> None:
     page.locator("#headline").click()
     for key in "123":

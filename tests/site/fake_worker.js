@@ -53,7 +53,7 @@ async function obey(command) {
   tell();
 }
 
-async function open({base, policy, second, seed: wanted}) {
+async function open({base, policy, second, seed: wanted, events, guard}) {
   manifest ??= await (await fetch(new URL('manifest.json', base))).json();
   if (manifest.broken) {
     return say({kind: 'Problem', fatal: true, message: 'policy.onnx.gz is cut off.'});
@@ -62,8 +62,8 @@ async function open({base, policy, second, seed: wanted}) {
     say({kind: 'Progress', what: 'Fetching the simulator', done: done * 1e6, of: 10e6});
   }
   sides = [side(policy), ...(second ? [side(second)] : [])];
-  schedule = [];
-  guarded = false;
+  schedule = events ?? [];
+  guarded = guard ?? false;
   begin(wanted);
   opened = true;
   say({kind: 'Ready', seconds: 0.1, backend: 'fake'});

@@ -137,9 +137,14 @@ export class Episodes {
     }
   }
 
-  endMany() {
-    this.tellMany(true);
+  /** A run of many episodes is over, also before its last one: who shows it hears of that. */
+  stopMany() {
+    if (this.many) this.tellMany(true);
     this.many = null;
+  }
+
+  endMany() {
+    this.stopMany();
     this.phase = this.sides[0].ended ? 'ended' : 'paused';
     this.show();
   }

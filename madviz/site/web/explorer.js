@@ -36,10 +36,14 @@ export class Explorer {
    * @param {Catalogue} catalogue
    * @param {(command: Command) => void} send
    * @param {(change: {policy?: string, vs?: string | null}) => void} onChoice
+   * @param {() => void} onOpening Plays the first scene from its beginning.
    */
-  constructor(catalogue, send, onChoice) {
+  constructor(catalogue, send, onChoice, onOpening) {
     this.catalogue = catalogue;
     this.send = send;
+    this.onOpening = onOpening;
+    /** The switches of the schedule that runs, for a link. @type {import('./link.js').LinkEvent[]} */
+    this.planned = [];
     /** @type {'loading' | 'opening' | 'explore'} */
     this.mode = 'loading';
     /** @type {Frame | null} */
@@ -108,17 +112,8 @@ export class Explorer {
       say(title, this.entries[1] ? `${this.entries[0].label} and ${this.entries[1].label}: `
         + `${this.entries[0].task_label}` : `${this.entries[0].label}: ${this.entries[0].task_label}`);
       turn.replaceChildren(...answers, ...this.asks ? []
-        : [button('Show me first', () => this.opening())]);
+        : [button('Show me first', () => this.onOpening())]);
     }
-  }
-
-  /** The first scene, from its beginning; the engine has its policies already. */
-  opening() {
-    const {entries} = this.catalogue.opening();
-    this.send({kind: 'SetPolicy', side: 'first', name: entries[0].name});
-    this.send({kind: 'Compare', policy: entries[1]?.name ?? null});
-    this.setMode('opening');
-    this.again(0);
   }
 
   /** An act of the opening from its beginning. @param {number} [number] */
@@ -172,6 +167,7 @@ export class Explorer {
 
   /** The visitor has the switches. */
   yourTurn() {
+    this.planned = [];
     this.send({kind: 'SetSchedule', events: []});
     this.send({kind: 'SetGuard', on: false});
     this.whole();
@@ -322,7 +318,8 @@ export class Explorer {
     const {first, second} = this.frame;
     return {policy: first.policy, vs: second?.policy ?? null, seed: first.seed,
       guard: first.guard !== null,
-      events: mergedEvents(first.events, second?.events ?? null)};
+      events: [...mergedEvents(first.events, second?.events ?? null),
+        ...this.planned.filter(event => event.step > first.step)]};
   }
 }
 

@@ -61,8 +61,10 @@
 
 /**
  * The first command: where the site's folder is, and what plays first. `base` is an absolute
- * address that ends with a slash; nothing outside it is ever fetched.
- * @typedef {{kind: 'Open', base: string, policy: string, seed: number, second?: string | null}} Open
+ * address that ends with a slash; nothing outside it is ever fetched. `events` and `guard` are as in
+ * SetSchedule and SetGuard, from the first step on. Where it fails, all stays as it is.
+ * @typedef {{kind: 'Open', base: string, policy: string, seed: number, second?: string | null,
+ *   events?: ScheduledEvent[], guard?: boolean}} Open
  */
 /** @typedef {{kind: 'SetCamera', side: Side, camera: string, state: CameraState}} SetCamera */
 /**

@@ -30,7 +30,7 @@ class Page {
     /** @type {Standstill | null} */
     this.standstill = null;
     this.explorer = new Explorer(this.catalogue, command => this.engine?.post(command),
-      change => this.choose(change));
+      change => this.choose(change), () => this.opening());
     this.ownHash = '';
   }
 
@@ -39,15 +39,19 @@ class Page {
     const {state, problems} = parseLink(location.hash);
     const asked = state.policy || state.events.length || state.seed !== null;
     problems.forEach(words => notice(words));
-    if (!asked) {
-      const opening = this.catalogue.opening(), [entry, rival] = opening.entries;
-      this.play({policy: entry.name, vs: rival?.name ?? null, seed: opening.seed,
-        events: openingEvents(opening, acts(opening)[0])}, 'opening');
-    } else {
+    if (!asked) this.opening();
+    else {
       const checked = this.catalogue.checked(state);
       checked.problems.forEach(words => notice(words));
       this.play(checked.scene, 'explore');
     }
+  }
+
+  /** The first scene, by an engine that acts live if there is one. */
+  opening() {
+    const opening = this.catalogue.opening(), [entry, rival] = opening.entries;
+    this.play({policy: entry.name, vs: rival?.name ?? null, seed: opening.seed,
+      events: openingEvents(opening, acts(opening)[0])}, 'opening');
   }
 
   /**
@@ -62,16 +66,16 @@ class Page {
       this.recorded = recorded;
       this.ready = false;
       this.explorer.setMode('loading');
+      this.explorer.many.reset();
       this.standstill?.end();
       this.standstill = new Standstill(words => say(byId('loading-words'), words));
       this.engine = startEngine(recorded, this.manifest, answer => this.answer(answer));
     }
     this.mode = mode;
     this.engine.post({kind: 'Open', base: BASE, policy: scene.policy, seed: scene.seed,
-      second: scene.vs});
-    this.engine.post({kind: 'SetSchedule', events: scene.events});
+      second: scene.vs, events: scene.events, guard: scene.guard ?? false});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
-    if (scene.guard) this.engine.post({kind: 'SetGuard', on: true});
+    this.explorer.planned = scene.events;
     this.explorer.act = 0;
     this.explorer.ask(mode === 'opening' && acts(this.catalogue.opening())[0].asks);
     this.engine.post({kind: calm() || this.explorer.asks ? 'Pause' : 'Play'});
@@ -131,6 +135,8 @@ class Page {
     notice(problem.message, problem.fatal && films && this.alive
       ? {words: 'Show recorded episodes', act: () => showRecordings(this.manifest, this)} : undefined);
     if (!this.ready) say(byId('loading-words'), problem.message);
+    const [entry, rival] = this.explorer.entries; // The lists name who acts, not who could not.
+    if (entry) this.explorer.transport.show(entry, rival ?? null);
     return undefined;
   }
 
@@ -212,6 +218,7 @@ class Page {
       return;
     }
     this.explorer.setMode('explore');
+    this.explorer.planned = [];
     this.engine?.post({kind: 'Replay', text: await file.text()});
   }
 }

@@ -10,6 +10,7 @@
 import {intact} from './camera_state.js';
 import {loadEpisode, worldAt} from './recording.js';
 
+/** @typedef {import('./messages.js').CameraEvent} CameraEvent */
 /** @typedef {import('./messages.js').Command} Command */
 /** @typedef {import('./messages.js').SiteRecording} SiteRecording */
 /** @typedef {import('./messages.js').World} World */
@@ -29,6 +30,8 @@ export class Player {
     this.sides = [];
     /** @type {Record<string, import('./messages.js').CameraState>[]} */
     this.cameras = [];
+    /** By side, what was done to cameras in this episode. @type {CameraEvent[][]} */
+    this.journals = [];
     /** @type {Map<string, Promise<Episode>>} */
     this.episodes = new Map();
     /** @type {import('./messages.js').ScheduledEvent[]} */
@@ -62,6 +65,7 @@ export class Player {
     switch (command.kind) {
       case 'Open':
         this.choose([command.policy, ...(command.second ? [command.second] : [])]);
+        this.schedule = command.events ?? [];
         return this.begin(command.seed);
       case 'SetPolicy':
         this.choose([command.name, ...this.sides.slice(1).map(one => one.policy)]);
@@ -96,6 +100,7 @@ export class Player {
     });
     this.cameras = this.sides.map(side =>
       Object.fromEntries(side.cameras.map(camera => [camera.name, intact()])));
+    this.journals = this.sides.map(() => []);
   }
 
   nextSeed() {
@@ -110,6 +115,13 @@ export class Player {
     this.step = 0;
     this.episode += 1;
     if (this.phase === 'ended') this.phase = 'playing';
+    this.cameras.forEach((cameras, index) => {
+      for (const event of this.schedule.filter(one => covers(one.side, index))) {
+        if (event.camera in cameras) cameras[event.camera] = intact();
+      }
+      this.journals[index] = Object.entries(cameras).filter(([, state]) => state.input === 'off')
+        .map(([camera, state]) => ({step: 0, camera, state}));
+    });
     return this.apply();
   }
 
@@ -125,8 +137,11 @@ export class Player {
    * @param {import('./messages.js').CameraState} state */
   set(side, camera, state) {
     this.cameras.forEach((cameras, index) => {
-      const meant = side === 'both' || (side === 'first') === (index === 0);
-      if (meant && camera in cameras) cameras[camera] = {...intact(), input: state.input};
+      if (!covers(side, index) || !(camera in cameras)) return;
+      cameras[camera] = {...intact(), input: state.input};
+      this.journals[index] = [...this.journals[index].filter(one =>
+        one.step !== this.step || one.camera !== camera),
+      {step: this.step, camera, state: cameras[camera]}];
     });
   }
 
@@ -178,8 +193,13 @@ export class Player {
     }
     const episode = await /** @type {Promise<Episode>} */ (this.episodes.get(name));
     return worldAt(episode, side, {step: this.step, episode: this.episode, seed: this.seed,
-      subset, cameras, schedule: this.schedule});
+      subset, cameras, events: this.journals[index]});
   }
+}
+
+/** @param {import('./messages.js').Side} side @param {number} index Of a side. */
+function covers(side, index) {
+  return side === 'both' || (side === 'first') === (index === 0);
 }
 
 /**

@@ -62,7 +62,7 @@ function tileOf({context, width, height}, index) {
  * @param {Episode} episode
  * @param {SiteRecording} side
  * @param {{step: number, episode: number, seed: number, subset: string,
- *   cameras: World['cameras'], schedule: import('./messages.js').ScheduledEvent[]}} now
+ *   cameras: World['cameras'], events: World['events']}} now
  * @returns {World}
  */
 export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now) {
@@ -78,7 +78,7 @@ export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now)
   return {policy: side.policy, task: side.task, episode: now.episode, seed: now.seed, step,
     horizon: side.horizon, mask: side.streams.map(stream => now.cameras[stream].input !== 'off'),
     cameras: {...now.cameras}, moves: {}, guard: null, condition: {subset: now.subset, occlusions: ''},
-    events: settings(now), views: pictures, arrived: pictures, poses: {},
+    events: now.events, views: pictures, arrived: pictures, poses: {},
     geom_poses: new Float32Array(0), scene: tileOf(scene, Math.floor(step / sceneEvery)),
     norms: row('norms'), streams: side.streams, merged: row('merged'), action: row('action'),
     q: row('q')[0], readout: {step, subsets, action: row('readout_action'), q: row('readout_q')},
@@ -86,28 +86,18 @@ export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now)
     ended: step >= side.horizon, change: changeNow(side, now, subsets, row, actions)};
 }
 
-/** The switches as events of step 0 or of the schedule, for a link. @param {{step: number,
- * cameras: World['cameras'], schedule: import('./messages.js').ScheduledEvent[]}} now */
-function settings({step, cameras, schedule}) {
-  const planned = schedule.filter(event => event.step <= step);
-  const named = new Set(planned.map(event => event.camera));
-  const others = Object.entries(cameras).filter(([camera, state]) =>
-    !named.has(camera) && state.input !== 'off' === false);
-  return [...others.map(([camera, state]) => ({step: 0, camera, state})), ...planned];
-}
-
 /**
- * What a planned switch did, read from the episode it goes over to: how far the actions of both
+ * What the newest switch did, read from the episode it goes over to: how far the actions of both
  * subsets are apart at that step.
  * @param {SiteRecording} side
- * @param {{step: number, subset: string, schedule: import('./messages.js').ScheduledEvent[]}} now
+ * @param {{step: number, subset: string, events: World['events']}} now
  * @param {string[]} subsets
  * @param {(name: string) => Float32Array} row
  * @param {number} size Of an action.
  * @returns {World['change']}
  */
-function changeNow(side, {step, subset, schedule}, subsets, row, size) {
-  const event = schedule.findLast(one => one.step <= step && one.state);
+function changeNow(side, {step, subset, events}, subsets, row, size) {
+  const event = events.findLast(one => one.step <= step && one.state);
   if (!event?.state) return null;
   const actions = row('readout_action'), q = row('readout_q');
   const [before, after] = [subsets.indexOf('all'), subsets.indexOf(subset)];

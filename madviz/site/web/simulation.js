@@ -252,6 +252,9 @@ export class Simulation {
     if (event.state) this.stack.replaceLast(this.occlusions());
     else this.stack.replaceViews(await this.draw(), this.occlusions());
     await this.read();
+    // Of several in one step the last one counts, for this camera: it is what a decision saw.
+    this.events = this.events.filter((one, i) => i < this.started || one.step !== this.step
+      || one.camera !== camera || !one.state !== !event.state);
     this.events.push({step: this.step, ...note});
     this.readout = null;
     this.change = {

@@ -18,6 +18,7 @@ import {Stock} from './stock.js';
  * was changed, or policies were compared. */
 const HOLD = 2000;
 const HOLD_TO_READ = 10000;
+const OF_CAMERAS = ['SetCamera', 'MoveCamera'];
 
 export class Stage extends Episodes {
   /** @param {(answer: Answer, buffers?: Transferable[]) => void} say */
@@ -43,7 +44,7 @@ export class Stage extends Episodes {
         await this.turn();
       } catch (error) {
         if (this.phase !== 'ended') this.phase = 'paused';
-        this.many = null;
+        this.stopMany();
         this.problem(error);
         if (this.sides.every(one => one.begun)) this.show();
       }
@@ -52,7 +53,7 @@ export class Stage extends Episodes {
 
   async turn() {
     const command = this.queue.shift();
-    if (command) return this.obey(command);
+    if (command) return this.overtaken(command) || this.obey(command);
     if (this.sides.length === 0 || !this.visible) return this.pace.sleep();
     if (this.many) return this.playMany();
     if (this.phase === 'ended') {
@@ -68,6 +69,18 @@ export class Stage extends Episodes {
     if (await this.pace.due()) await this.step();
   }
 
+  /**
+   * Whether a later command of the same kind for the same camera already waits: a slider that is
+   * dragged sends more than can be drawn.
+   * @param {any} command
+   */
+  overtaken(command) {
+    const end = this.queue.findIndex(one => !OF_CAMERAS.includes(one.kind));
+    const newer = end < 0 ? this.queue : this.queue.slice(0, end);
+    return OF_CAMERAS.includes(command.kind) && newer.some((/** @type {any} */ one) =>
+      one.kind === command.kind && one.camera === command.camera && one.side === command.side);
+  }
+
   /** @param {Command} command */
   async obey(command) {
     if (command.kind === 'Open') return this.open(command);
@@ -81,7 +94,7 @@ export class Stage extends Episodes {
   // --- Commands -----------------------------------------------------------------------------------
 
   /** @param {import('./messages.js').Open} command */
-  async open({base, policy, second, seed}) {
+  async open({base, policy, second, seed, events, guard}) {
     const start = performance.now();
     const first = this.sides.length === 0;
     try {
@@ -89,10 +102,10 @@ export class Stage extends Episodes {
       const names = [policy, ...(second ? [second] : [])];
       const sides = await this.made(names);
       sides.forEach(side => side.physics.check(seed));
-      this.guarded = false;
+      this.stopMany();
+      this.guarded = guard ?? false;
       this.replace(sides);
-      this.schedule = [];
-      this.many = null;
+      this.schedule = events ?? [];
       this.phase = 'playing';
       await this.begin(seed);
       const seconds = (performance.now() - start) / 1000;
@@ -123,6 +136,7 @@ export class Stage extends Episodes {
     const kept = changed.filter(one => this.describe(one).task === task);
     const {seed} = this;
     const sides = await this.made(kept);
+    this.stopMany();
     sides.forEach((one, i) => one.adopt(this.sides[i]));
     this.replace(sides);
     await this.begin(this.seeds().includes(seed) ? seed : this.seeds()[0]);
@@ -136,6 +150,7 @@ export class Stage extends Episodes {
     }
     const {seed} = this;
     const sides = await this.made(names);
+    this.stopMany();
     sides.forEach(one => one.adopt(this.sides[0]));
     this.replace(sides);
     await this.begin(seed);
@@ -144,6 +159,7 @@ export class Stage extends Episodes {
   /** @param {{seed: number}} command */
   onSetSeed({seed}) {
     this.sides[0].physics.check(seed);
+    this.stopMany();
     return this.begin(seed);
   }
 
@@ -223,6 +239,7 @@ export class Stage extends Episodes {
     const recipe = readEpisode(text, episode, this.stock?.manifest.policies ?? []);
     const sides = await this.made([recipe.policy]);
     sides[0].physics.check(recipe.seed);
+    this.stopMany();
     this.guarded = recipe.guarded;
     this.replace(sides);
     this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('first')}));

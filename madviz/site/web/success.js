@@ -126,6 +126,13 @@ export class RunMany {
     this.label();
   }
 
+  /** Another engine plays now, in which nothing runs. */
+  reset() {
+    this.running = false;
+    this.label();
+    say(this.words, '');
+  }
+
   label() {
     say(this.button, this.running ? 'Stop' : `Run ${this.episodes}`);
   }

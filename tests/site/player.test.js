@@ -1,0 +1,72 @@
+/** Recorded episodes under a schedule and switches: what a frame says was done, on each side. */
+
+import assert from 'node:assert/strict';
+import test from 'node:test';
+
+import {Player} from '../../madviz/site/web/player.js';
+
+const side = {policy: 'mad', horizon: 25, seeds: [5000, 5001],
+  cameras: [{name: 'first'}, {name: 'third_a'}], streams: ['first', 'third_a'], files: {}};
+const off = {input: 'off'}, on = {input: 'both'};
+
+/** A player that tells nobody, so that nothing is drawn. @param {number} sides */
+function played(sides) {
+  const player = new Player('', {recordings: [side]}, () => {});
+  player.tell = () => Promise.resolve();
+  player.choose(Array(sides).fill('mad'));
+  return player;
+}
+
+const brief = events => events.map(({step, camera, state}) => `${camera} ${state.input} ${step}`);
+
+/** @param {any} player @param {number} step */
+function upTo(player, step) {
+  while (player.step < step) player.advance();
+}
+
+test('a camera of the schedule works again when the episode begins anew', () => {
+  const player = played(1);
+  player.schedule = [{step: 15, camera: 'first', state: off, side: 'both'}];
+  player.begin(5000);
+  upTo(player, 25);
+  assert.deepEqual(brief(player.journals[0]), ['first off 15']);
+  player.begin(5000);
+  assert.equal(player.cameras[0].first.input, 'both');
+  assert.deepEqual(player.journals[0], []);
+});
+
+test('a camera that comes back by hand is back in what is told', () => {
+  const player = played(1);
+  player.schedule = [{step: 15, camera: 'first', state: off, side: 'both'}];
+  player.begin(5000);
+  upTo(player, 17);
+  player.set('both', 'first', on);
+  assert.deepEqual(brief(player.journals[0]), ['first off 15', 'first both 17']);
+  player.set('both', 'first', off);
+  assert.deepEqual(brief(player.journals[0]), ['first off 15', 'first off 17'], 'the last of a step');
+});
+
+test('a side hears of its own switches alone', () => {
+  const player = played(2);
+  player.schedule = [{step: 3, camera: 'first', state: off, side: 'first'}];
+  player.begin(5000);
+  upTo(player, 5);
+  assert.deepEqual(player.journals.map(brief), [['first off 3'], []]);
+  assert.deepEqual(player.cameras.map(one => one.first.input), ['off', 'both']);
+});
+
+test('what was off before the episode is off from its start', () => {
+  const player = played(1);
+  player.set('both', 'third_a', off);
+  player.begin(5001);
+  assert.deepEqual(brief(player.journals[0]), ['third_a off 0']);
+});
+
+test('a scene opens with its schedule', async () => {
+  const player = played(1);
+  const events = [{step: 0, camera: 'first', state: off, side: 'both'}];
+  await player.obey({kind: 'Open', base: '', policy: 'mad', seed: 5000, events});
+  assert.deepEqual(brief(player.journals[0]), ['first off 0']);
+  await player.obey({kind: 'Open', base: '', policy: 'mad', seed: 5000});
+  assert.deepEqual(player.journals[0], []);
+});
