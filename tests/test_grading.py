@@ -157,7 +157,8 @@ def test_copies_that_are_graded_are_in_the_table_when_it_is_stopped(
     config = GradeConfig(class_ / "returned", class_ / "lessons", class_ / "t.csv", workers=1)
     with pytest.raises(KeyboardInterrupt):
         grade(config)
-    assert "ada,02_merge,02.merge,yes" in (class_ / "t.csv").read_text()
+    assert "ada,02_merge,02.merge,yes" in (class_ / "t.part.csv").read_text()
+    assert not (class_ / "t.csv").exists()
 
 
 def test_every_exercise_has_its_row(class_: Path) -> None:

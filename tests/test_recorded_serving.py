@@ -82,6 +82,8 @@ def test_a_picture_of_another_aspect_is_refused(trained: tuple[Path, Path]) -> N
     boxed = letterboxed(squashed[:63], 84)
     assert not np.array_equal(boxed, squashed)
     episodes.act({"top": boxed}, np.zeros(3))
+    jpeg = np.clip(boxed.astype(int) + np.arange(84)[:, None, None] % 5, 0, 255).astype(np.uint8)
+    episodes.act({"top": jpeg}, np.zeros(3))
 
 
 def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) -> None:
@@ -98,6 +100,9 @@ def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) 
         state = np.array([0.1, -0.4, 0.9], np.float32)
         masks = np.array([[True, True], [False, True]])
         here, there = (each.read(each.encode(views, state), masks) for each in (policy, served))
+        assert np.allclose(here.action, there.action, atol=1e-4)
+        noisy = rng.integers(0, 255, (2, 9, 84, 84), np.uint8)  # Noise is on the bars as well.
+        here, there = (each.read(each.encode(noisy, state), masks) for each in (policy, served))
         assert np.allclose(here.action, there.action, atol=1e-4)
     finally:
         server.close()

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from madviz.errors import UserError
 from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import parse_schedule
+from madviz.recording import record
+from madviz.recording.frames import frames
 from madviz.session.commands import (
     Pause,
     Play,
@@ -202,6 +205,18 @@ def test_the_policies_of_a_saved_episode_keep_their_guards(
     swaps = (SavedCommand(0, bare), SavedCommand(0, guarded))
     plan = SessionPlan(structs.replace(changed, commands=swaps))
     plan.begin()
+    for one in (bare, guarded):
+        followed = structs.replace(changed, policy=bare, commands=(SavedCommand(2, one),))
+        env = make_env("toy/reach")
+        found: list[str] = []
+
+        def find(policy: SavedPolicy, found: list[str] = found) -> FakePolicy:
+            found.append(policy.name)
+            return FakePolicy(policy.name)
+
+        with closing(record._session(env, FakePolicy(), 5, followed, find)) as recorded:
+            list(frames(recorded, 4))
+        assert found[-1] == one.name
     session = Recorder()
     session.at(0.0)
     assert session._stage.simulation is not None

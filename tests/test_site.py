@@ -182,17 +182,21 @@ def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="which would be lost"):
         site.check_place(tmp_path)
     (tmp_path / site.MANIFEST).write_text('{"schema": 1, "runtime": {}}')
+    with pytest.raises(UserError, match="found 'thesis.tex', which would be lost"):
+        site.check_place(tmp_path)
     (tmp_path / ".git").mkdir()
     with pytest.raises(UserError, match="found '.git', which would be lost"):
         site.check_place(tmp_path)
     assert (tmp_path / "thesis.tex").read_text() == "mine"
+    with pytest.raises(UserError, match="expected a folder, found a file"):
+        site.check_place(tmp_path / "thesis.tex")
 
 
 def test_a_site_is_replaced_when_the_new_one_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "site"
-    out.mkdir()
+    out = tmp_path / "build" / "site"
+    out.mkdir(parents=True)
     (out / site.MANIFEST).write_text('{"schema": 1, "runtime": {}}')
     (out / "old.js").write_text("")
     monkeypatch.setattr(site, "find_packages", lambda folder: folder)
@@ -205,12 +209,14 @@ def test_a_site_is_replaced_when_the_new_one_is_whole(
     monkeypatch.setattr(site, "write_runtime", stopped)
     with pytest.raises(OSError, match="No space left"):
         site.run_site(site.SiteConfig(str(out)))
-    assert (out / "old.js").exists() and [path.name for path in tmp_path.iterdir()] == ["site"]
+    assert (out / "old.js").exists() and [path.name for path in out.parent.iterdir()] == ["site"]
     monkeypatch.setattr(site, "write_runtime", lambda out, packages: {})
     found = site.run_site(site.SiteConfig(str(out)))
     assert found["page_bytes"] > 10_000 and found["opening"] is None
     assert (out / "worker.js").is_file() and not (out / "old.js").exists()
-    site.run_site(site.SiteConfig(str(out)))
+    for again in (out, tmp_path / "new" / "site"):
+        site.run_site(site.SiteConfig(str(again)))
+        assert (again / "worker.js").is_file()
 
 
 def test_missing_packages_are_named_with_the_line_that_installs_them(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -118,7 +119,11 @@ def grade(config: GradeConfig) -> Graded:
                 say(f"{number + 1} of {len(jobs)}: {in_a_line(job.result())}")
                 rows += job.result()
         except BaseException:
-            write_bytes(config.out, table(rows).encode())  # Those that are graded.
+            if rows:
+                with suppress(OSError):  # What stopped it is the news.
+                    part = config.out.with_suffix(f".part{config.out.suffix}")
+                    write_bytes(part, table(rows).encode())
+                    say(f"madviz: the copies that were graded are in {part}")
             raise
         finally:
             stop.set()

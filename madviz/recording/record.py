@@ -38,7 +38,7 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
-from madviz.policies.guarded import with_guard
+from madviz.policies.guarded import reference_to, with_guard
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
 from madviz.recorded.known import refuse_recording
@@ -400,7 +400,7 @@ def _session(
     """A session in ``env`` that runs as fast as it can."""
     if script is not None:
         check_episode(script, find, env)
-    wanted = {one.name: one for one in (script.policies if script else ())}
+    wanted = {reference_to(one.name): one for one in (script.policies if script else ())}
 
     def load(name: str) -> Policy:
         return find(wanted[name])

@@ -44,8 +44,8 @@ from madviz.system.numbers import Port, check_numbers
 from madviz.types import EnvSpec, Policy
 from madviz.wire.codec import MOST_BYTES, BadMessage, pack, unpack
 from madviz.wire.connection import OURS
+from madviz.wire.protocols import BOXED, VERSION
 from madviz.wire.protocols import OURS as FACTS
-from madviz.wire.protocols import VERSION
 from madviz.wire.wiring import served
 
 LISTEN = 0.5
@@ -192,7 +192,8 @@ class PolicyServer:
         elif kind == "observation":
             state = payload.get("state", payload.get("states"))
             with self._computing, one_thread():
-                return "action", {"actions": episodes.act(payload.get("images"), state)}
+                action = episodes.act(payload.get("images"), state, payload.get(BOXED) is True)
+                return "action", {"actions": action}
         elif kind == "episode_end":
             episodes.close()
         else:
@@ -210,7 +211,7 @@ class PolicyServer:
                 images = {name: value for name, value in look.items() if self._shows(name, value)}
                 with self._computing, one_thread():
                     episodes.enter(look)
-                    action = episodes.act(images, look.get("state"))
+                    action = episodes.act(images, look.get("state"), look.get(BOXED) is True)
             except (BadMessage, BadLook, UserError) as bad:
                 connection.send(str(bad))  # A text is how this protocol says that it failed.
                 connection.close(1011, "see the text before")

@@ -35,6 +35,9 @@ from madviz.vocabulary.words import shown_meanings
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
+FOLDERS = ("runtime", "tasks", "textures", "policies", "recordings", "licences")
+PAGE = (".js", ".css", ".html", ".svg")
+"""All that a site has at its top: its folders, and the endings of the page's own files."""
 OPENING = {
     "first": "metaworld-hammer-mad-light",
     "second": "metaworld-hammer-merged-only-light",
@@ -80,12 +83,14 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     packages = find_packages(Path(config.packages).resolve())
     folders = chosen(config.policies)
     out = Path(config.out)
-    check_place(out)
-    with new_folder(out) as part:
+    place = out.resolve()  # A link stays one.
+    check_place(place)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with new_folder(place) as part:
         manifest = _written(part, config, folders, seeds, packages)
         size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
-        if out.exists():
-            shutil.rmtree(out)  # Last: what fails before leaves the old site.
+        if place.exists():
+            shutil.rmtree(place)  # Last: what fails before leaves the old site.
     archive = write_zip(out) if config.zip else None
     return {"out": str(out), "bytes": size, "zip": str(archive or ""), **manifest}
 
@@ -178,9 +183,12 @@ def fits(folder: PolicyFolder) -> bool:
 
 
 def check_place(out: Path) -> None:
-    """Raises UserError for a folder that holds anything but a site, which would be lost."""
-    if not out.is_dir():
+    """Raises UserError for a folder that holds anything but a site, which would be lost, and for a
+    file."""
+    if not out.exists():
         return
+    if not out.is_dir():
+        raise UserError(f"{out}: expected a folder, found a file; choose another name")
     found = sorted(path.name for path in out.iterdir())
     if not found:
         return
@@ -189,12 +197,17 @@ def check_place(out: Path) -> None:
         ours = isinstance(manifest, dict) and {"schema", "runtime"} <= manifest.keys()
     except UserError:
         ours = False
-    others = [name for name in found if name.startswith(".")] if ours else found
+    others = [name for name in found if not (ours and _of_a_site(name))]
     if others:
         raise UserError(
             f"{out}: expected an empty folder or a site, found {others[0]!r:.60}, which would be "
             "lost; choose another folder"
         )
+
+
+def _of_a_site(name: str) -> bool:
+    """True for a name at the top of a site, of this version or an earlier one."""
+    return name in (MANIFEST, *FOLDERS) or name.endswith(PAGE)
 
 
 def copy_page(out: Path) -> int:

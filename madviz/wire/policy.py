@@ -28,7 +28,7 @@ from madviz.subsets import camera_of, modality_of, name_of
 from madviz.system.address import ServerAddress
 from madviz.types import Array, Encoded, PolicySpec, Readout
 from madviz.wire.connection import PolicyConnection
-from madviz.wire.protocols import Speaker, greeted, identity_in, look
+from madviz.wire.protocols import BOXED, Speaker, greeted, identity_in, look
 from madviz.wire.wiring import Wiring, env_of
 
 
@@ -166,6 +166,8 @@ class ServedPolicy:
         state = encoded.state if self._robot is None else self._robot.states.unscale(encoded.state)
         state = self.wiring.sent_state(state, self._env)
         message = look(self.wiring, speaker.name, shown_now, state, words, noise)
+        if self._said and self._robot is not None:
+            message[BOXED] = True
         connection.answered |= self._warm
         found = speaker.ask(connection, message)
         self._warm = True

@@ -24,6 +24,8 @@ from madviz.wire.wiring import Wiring
 LISTEN = 1.0
 """Seconds in which an openpi server has spoken."""
 OURS = "madviz"
+BOXED = "boxed"
+"""The key by which a client of ours says that its pictures are as in training, bars and all."""
 """Under this key of the greeting, servers of madviz's own say all about the policy."""
 IDENTITY = ("name", "model_server", "model", "policy", "checkpoint", "revision", "digest")
 """Keys of a greeting that say which policy is served; ``digest`` is one of its weights."""

@@ -6,7 +6,7 @@
 
 Each has an optimiser of its own, and no loss reaches what stands before it. An imagination begins
 at beliefs that are rebuilt over a frame stack, as the acting policy has them, under the views that
-are present in a stretch: which ones is drawn uniformly.
+are present in a stretch: how many is drawn uniformly, then which.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ imagination (Seo et al., 2023); the last of the MAD paper's baselines.
                                     autoencoder, world model, actor and critic
 
 The MAD paper ran it without demonstrations. With ``--mv-mwm.demonstrations`` episodes of the
-scripted expert are there from the start: a quarter of every batch is theirs, and the actor is
-taught the expert's actions in them besides.
+scripted expert are there from the start: a quarter of every batch of the world model is theirs, and
+the actor is taught the expert's actions in them besides. The autoencoder does not see them.
 
 With the defaults 20,000 decisions are 800 + 4,000 updates: each sees 16 stretches of 4 decisions
 and, after the first 800, imagines 64 x 15 more. ``unlike`` says what differs from the authors'

@@ -46,6 +46,20 @@ test('a camera that comes back by hand is back in what is told', () => {
   assert.deepEqual(brief(player.journals[0]), ['first off 15', 'first off 17'], 'the last of a step');
 });
 
+test('a switch knows what it was before, and how an episode began is no switch', () => {
+  const player = played(1);
+  player.set('both', 'third_a', off);
+  player.begin(5001);
+  assert.equal(player.journals[0][0].from, undefined);
+  upTo(player, 4);
+  player.set('both', 'first', off);
+  upTo(player, 6);
+  player.set('both', 'first', on);
+  const [, dropped, back] = player.journals[0];
+  assert.deepEqual([dropped.from.subset, dropped.from.before.input], ['first', 'both']);
+  assert.deepEqual([back.from.subset, back.from.before.input], ['none', 'off']);
+});
+
 test('a side hears of its own switches alone', () => {
   const player = played(2);
   player.schedule = [{step: 3, camera: 'first', state: off, side: 'first'}];

@@ -32,6 +32,8 @@ class Page {
     this.explorer = new Explorer(this.catalogue, command => this.engine?.post(command),
       change => this.choose(change), () => this.opening());
     this.ownHash = '';
+    /** The switches of the scene that is on its way. @type {Scene['events'] | null} */
+    this.asked = null;
   }
 
   /** Plays what the address asks for; without anything, the opening. */
@@ -75,7 +77,7 @@ class Page {
     this.engine.post({kind: 'Open', base: BASE, policy: scene.policy, seed: scene.seed,
       second: scene.vs, events: scene.events, guard: scene.guard ?? false});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
-    this.explorer.planned = scene.events;
+    this.asked = scene.events;
     this.explorer.act = 0;
     this.explorer.ask(mode === 'opening' && acts(this.catalogue.opening())[0].asks);
     this.engine.post({kind: calm() || this.explorer.asks ? 'Pause' : 'Play'});
@@ -103,6 +105,7 @@ class Page {
         return progress(answer);
       case 'Ready':
         this.ready = true;
+        if (this.asked) explorer.planned = this.asked;
         this.standstill?.end();
         explorer.setMode(this.mode ?? 'explore');
         document.body.dataset.ready = 'true';
@@ -128,6 +131,7 @@ class Page {
   problem(problem) {
     const films = this.manifest.recordings.length > 0;
     this.standstill?.end();
+    this.asked = null;
     if (problem.refused && films && this.alive) {
       notice(`${problem.message} What follows are recorded episodes.`);
       return showRecordings(this.manifest, this);

@@ -10,7 +10,7 @@
 import {intact} from './camera_state.js';
 import {loadEpisode, worldAt} from './recording.js';
 
-/** @typedef {import('./messages.js').CameraEvent} CameraEvent */
+/** @typedef {import('./recording.js').JournalEvent} JournalEvent */
 /** @typedef {import('./messages.js').Command} Command */
 /** @typedef {import('./messages.js').SiteRecording} SiteRecording */
 /** @typedef {import('./messages.js').World} World */
@@ -30,7 +30,7 @@ export class Player {
     this.sides = [];
     /** @type {Record<string, import('./messages.js').CameraState>[]} */
     this.cameras = [];
-    /** By side, what was done to cameras in this episode. @type {CameraEvent[][]} */
+    /** By side, what was done to cameras in this episode. @type {JournalEvent[][]} */
     this.journals = [];
     /** @type {Map<string, Promise<Episode>>} */
     this.episodes = new Map();
@@ -66,7 +66,8 @@ export class Player {
       case 'Open':
         this.choose([command.policy, ...(command.second ? [command.second] : [])]);
         this.schedule = command.events ?? [];
-        return this.begin(command.seed);
+        await this.begin(command.seed);
+        return this.onAnswer({kind: 'Ready', seconds: 0, backend: 'recorded'});
       case 'SetPolicy':
         this.choose([command.name, ...this.sides.slice(1).map(one => one.policy)]);
         return this.begin(this.seed);
@@ -138,10 +139,12 @@ export class Player {
   set(side, camera, state) {
     this.cameras.forEach((cameras, index) => {
       if (!covers(side, index) || !(camera in cameras)) return;
+      const from = {before: cameras[camera], subset: subsetOf(this.sides[index], cameras)};
       cameras[camera] = {...intact(), input: state.input};
-      this.journals[index] = [...this.journals[index].filter(one =>
-        one.step !== this.step || one.camera !== camera),
-      {step: this.step, camera, state: cameras[camera]}];
+      const journal = this.journals[index];
+      const same = journal.find(one => one.step === this.step && one.camera === camera);
+      this.journals[index] = [...journal.filter(one => one !== same),
+        {step: this.step, camera, state: cameras[camera], from: same?.from ?? from}];
     });
   }
 
@@ -163,7 +166,6 @@ export class Player {
       rate: this.speed ?? 30, auto_next: this.autoNext, first: worlds[0],
       second: worlds[1] ?? null, outcomes: [],
       timings: {physics: 0, pictures: 0, policy: 0, readout: 0}});
-    if (this.number === 1) this.onAnswer({kind: 'Ready', seconds: 0, backend: 'recorded'});
     const wait = this.phase === 'playing' ? 1000 / (this.speed ?? 30) : 2000;
     if (this.phase === 'playing') this.later(wait, () => this.advance());
     else if (this.phase === 'ended' && this.autoNext) {

@@ -18,6 +18,12 @@ import {readTensors} from './tensors.js';
 /** @typedef {import('./messages.js').Picture} Picture */
 /** @typedef {import('./messages.js').SiteRecording} SiteRecording */
 /** @typedef {import('./messages.js').World} World */
+/**
+ * What was done to a camera; `from`: how it was, and which cameras were on. Without it, that is how
+ * the episode began.
+ * @typedef {import('./messages.js').CameraEvent & {from?: {before: import('./messages.js').CameraState,
+ *   subset: string}}} JournalEvent
+ */
 /** @typedef {{context: CanvasRenderingContext2D, width: number, height: number}} Sheet */
 /** @typedef {{sheet: Sheet, scene: Sheet, sceneEvery: number, subsets: string[],
  *   tensors: Record<string, import('./tensors.js').Tensor>}} Episode */
@@ -62,7 +68,7 @@ function tileOf({context, width, height}, index) {
  * @param {Episode} episode
  * @param {SiteRecording} side
  * @param {{step: number, episode: number, seed: number, subset: string,
- *   cameras: World['cameras'], events: World['events']}} now
+ *   cameras: World['cameras'], events: JournalEvent[]}} now
  * @returns {World}
  */
 export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now) {
@@ -83,27 +89,26 @@ export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now)
     norms: row('norms'), streams: side.streams, merged: row('merged'), action: row('action'),
     q: row('q')[0], readout: {step, subsets, action: row('readout_action'), q: row('readout_q')},
     success: Boolean(success[step]), success_any: success.some(Boolean),
-    ended: step >= side.horizon, change: changeNow(side, now, subsets, row, actions)};
+    ended: step >= side.horizon, change: changeNow(now, subsets, row, actions)};
 }
 
 /**
- * What the newest switch did, read from the episode it goes over to: how far the actions of both
- * subsets are apart at that step.
- * @param {SiteRecording} side
- * @param {{step: number, subset: string, events: World['events']}} now
+ * What the newest switch did, read from the episode it goes over to: how far the actions with the
+ * cameras before it and after it are apart at this step. How an episode began is no switch.
+ * @param {{step: number, subset: string, events: JournalEvent[]}} now
  * @param {string[]} subsets
  * @param {(name: string) => Float32Array} row
  * @param {number} size Of an action.
  * @returns {World['change']}
  */
-function changeNow(side, {step, subset, events}, subsets, row, size) {
-  const event = events.findLast(one => one.step <= step && one.state);
-  if (!event?.state) return null;
+function changeNow({step, subset, events}, subsets, row, size) {
+  const event = events.findLast(one => one.step <= step && one.from);
+  if (!event?.from || !event.state) return null;
   const actions = row('readout_action'), q = row('readout_q');
-  const [before, after] = [subsets.indexOf('all'), subsets.indexOf(subset)];
+  const [before, after] = [subsets.indexOf(event.from.subset), subsets.indexOf(subset)];
   if (before < 0 || after < 0 || before === after) return null;
   const apart = Math.hypot(...Array.from({length: size}, (_, i) =>
     actions[after * size + i] - actions[before * size + i]));
-  return {camera: event.camera, before: intact(), after: event.state, moved: false,
+  return {camera: event.camera, before: event.from.before, after: event.state, moved: false,
     step: event.step, action_change: apart, q_before: q[before], q_after: q[after]};
 }
