@@ -16,7 +16,7 @@ from madviz.errors import UserError
 from madviz.system.numbers import Range, check_numbers
 from madviz.system.options import bare, notes, options
 from madviz.system.plugins import load
-from madviz.training.config import TrainConfig
+from madviz.training.config import TrainConfig, recipe_of
 from madviz.training.light import LightConfig
 from madviz.training.train import train
 from tests.mistakes import refused
@@ -57,7 +57,9 @@ def test_every_number_is_refused_outside_its_range(
                 allowed.instance_from_str([text])
         for words in ([option, outside[0]], [f"{option}={outside[-1]}"]):
             found = f"{allowed.high}, found {words[-1].removeprefix(f'{option}=')}"
-            line = refused([name, *needed(command), *words], found, capsys, program)
+            recipe = recipe_of(option.removeprefix("--")) if name == "train" else None
+            chosen = ["--recipe", recipe] if recipe else []
+            line = refused([name, *needed(command), *chosen, *words], found, capsys, program)
             assert line.startswith(f"madviz: {option}: expected {wanted} ")
 
 

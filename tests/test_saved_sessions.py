@@ -22,8 +22,7 @@ from madviz.errors import UserError
 from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.schedule import parse_schedule
-from madviz.recording import record
-from madviz.recording.frames import frames
+from madviz.recording.frames import frames, session_of
 from madviz.session.commands import (
     Pause,
     Play,
@@ -214,7 +213,7 @@ def test_the_policies_of_a_saved_episode_keep_their_guards(
             found.append(policy.name)
             return FakePolicy(policy.name)
 
-        with closing(record._session(env, FakePolicy(), 5, followed, find)) as recorded:
+        with closing(session_of(env, FakePolicy(), 5, followed, find)) as recorded:
             list(frames(recorded, 4))
         assert found[-1] == one.name
     session = Recorder()

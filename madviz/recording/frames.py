@@ -6,8 +6,13 @@ from collections import deque
 from collections.abc import Iterator
 
 from madviz.errors import UserError
+from madviz.policies.guarded import reference_to
+from madviz.session.commands import Play
 from madviz.session.frame import Frame, NoFrame
+from madviz.session.replay import Finder, check_episode
 from madviz.session.session import Session
+from madviz.session.session_file import SavedEpisode
+from madviz.types import Environment, Policy
 
 
 def frames(session: Session, steps: int | None) -> Iterator[Frame]:
@@ -29,3 +34,20 @@ def frames(session: Session, steps: int | None) -> Iterator[Frame]:
                     return
             newest = frame
     yield newest
+
+
+def session_of(
+    env: Environment, policy: Policy, seed: int, script: SavedEpisode | None, find: Finder
+) -> Session:
+    """A session in ``env`` that runs as fast as it can. Raises as ``check_episode`` does."""
+    if script is not None:
+        check_episode(script, find, env)
+    wanted = {reference_to(one.name): one for one in (script.policies if script else ())}
+
+    def load(name: str) -> Policy:
+        return find(wanted[name])
+
+    session = Session(lambda *_: env, policy, load, seed=seed, speed=None, script=script)
+    if script is not None:
+        session.send(Play())  # A session with a script starts paused.
+    return session

@@ -38,27 +38,19 @@ from madviz.observation.schedule import (
     schedule_words,
 )
 from madviz.policies import checkpoint
-from madviz.policies.guarded import reference_to, with_guard
+from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.policies.seeds import FIRST_TRY
 from madviz.recorded.known import refuse_recording
 from madviz.recording.facts import Facts, Writer
-from madviz.recording.frames import frames
-from madviz.session.commands import Play, SetSchedule
+from madviz.recording.frames import frames, session_of
+from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
-from madviz.session.replay import (
-    Finder,
-    check_episode,
-    comes_out_same,
-    failure_words,
-    finder,
-)
-from madviz.session.session import Session
-from madviz.session.session_file import SavedEpisode
+from madviz.session.replay import comes_out_same, failure_words, finder
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
-from madviz.types import Environment, EnvSpec, Policy
+from madviz.types import EnvSpec
 from madviz.wire.reference import with_wire
 
 
@@ -225,7 +217,7 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
     world = script or policy.spec
     refuse_recording(world.task, "madviz record")
     with closing(make_env(world.task, world.render_profile, world.cameras)) as env, one_thread():
-        session = _session(env, policy, config.seed, script, find)
+        session = session_of(env, policy, config.seed, script, find)
         schedule = _schedule(config, env.spec)
         session.send(SetSchedule(schedule))
         failures = failure_words(script) if script else schedule_words(schedule)
@@ -392,20 +384,3 @@ def _schedule(config: RecordConfig, env: EnvSpec) -> Schedule:
                 f"{event.camera!r} at step {event.step}; let it fail earlier"
             )
     return events
-
-
-def _session(
-    env: Environment, policy: Policy, seed: int, script: SavedEpisode | None, find: Finder
-) -> Session:
-    """A session in ``env`` that runs as fast as it can."""
-    if script is not None:
-        check_episode(script, find, env)
-    wanted = {reference_to(one.name): one for one in (script.policies if script else ())}
-
-    def load(name: str) -> Policy:
-        return find(wanted[name])
-
-    session = Session(lambda *_: env, policy, load, seed=seed, speed=None, script=script)
-    if script is not None:
-        session.send(Play())  # A session with a script starts paused.
-    return session

@@ -326,7 +326,8 @@ def untouched(policy: PolicySpec) -> CameraState:
 def carried(ablation: Ablation, old: PolicySpec, new: PolicySpec) -> Ablation:
     """``ablation`` of the policy ``old`` for ``new``: a camera that is as in training stays so,
     also where one policy takes its depth and the other does not."""
-    before, after = untouched(old), untouched(new)
+    before = untouched(old)
+    after = untouched(new)
     cameras = {name: after if at == before else at for name, at in ablation.cameras.items()}
     return Ablation(cameras, ablation.moves)
 

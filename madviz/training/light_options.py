@@ -114,7 +114,7 @@ class LightConfig(RecipeOptions):
 
     @property
     def how(self) -> str:
-        """What is learned from, in words."""
+        """The way of learning, in words."""
         if self.episodes:
             return "imitation of a scripted expert that labels the states of another run's episodes"
         if self.drivers == "expert":

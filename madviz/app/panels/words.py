@@ -149,7 +149,8 @@ def holds(change: Change, then: World, frame: Frame) -> bool:
     """True where ``change``, which happened in ``then``, is still so: the same policy acts, and the
     camera is as it left it, which in another episode is worth a word only if it is not intact."""
     name = change.camera
-    at, place = frame.camera(name), frame.world.ablation.moves.get(name)
+    at = frame.camera(name)
+    place = frame.world.ablation.moves.get(name)
     intact = at == untouched(frame.world.policy) and place is None
     return (
         frame.world.policy == then.policy
