@@ -197,12 +197,17 @@ def test_curves_go_on_from_an_earlier_step(server):
     panel.remove()
 
 
-def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
+def asking(server):
+    """A session, a page's controls, a visitor's guess, and the panel that asks for it."""
     session = Recorder()
     session.at(0.0)
     gui = recorded(server.gui)
     prediction = Prediction()
-    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    return session, gui, prediction, WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+
+
+def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
+    session, gui, prediction, panel = asking(server)
     session.ask(Compare("toy-other"))
     prediction.take("both")
     first = session.steps(25)
@@ -215,11 +220,7 @@ def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
 
 
 def test_a_guess_on_a_later_episode_waits_for_it(server):
-    session = Recorder()
-    session.at(0.0)
-    gui = recorded(server.gui)
-    prediction = Prediction()
-    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    session, gui, prediction, panel = asking(server)
     session.ask(Compare("toy-other"))
     prediction.take("both", asked_in=session.frames[-1].world.episode)
     apply(panel.update(session.steps(25)))
@@ -231,11 +232,7 @@ def test_a_guess_on_a_later_episode_waits_for_it(server):
 
 
 def test_a_dropped_camera_is_a_question_until_it_is_answered_or_silenced(server):
-    session = Recorder()
-    session.at(0.0)
-    gui = recorded(server.gui)
-    prediction = Prediction()
-    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    session, gui, prediction, panel = asking(server)
     answers = gui.find("Your guess")
     apply(panel.update(session.steps(1)))
     assert not answers.visible
@@ -257,11 +254,7 @@ def test_a_dropped_camera_is_a_question_until_it_is_answered_or_silenced(server)
 
 
 def test_a_question_about_two_policies_is_another_one_than_about_one(server):
-    session = Recorder()
-    session.at(0.0)
-    gui = recorded(server.gui)
-    prediction = Prediction()
-    panel = WordsPanel(gui, session.frames[-1], SuccessRates(), prediction)
+    session, gui, prediction, panel = asking(server)
     answers = gui.find("Your guess")
     session.ask(Compare("toy-other"))
     apply(panel.update(session.ask(SetCamera("first", OFF))))

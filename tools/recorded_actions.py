@@ -28,7 +28,7 @@ from madviz.types import Array, Encoded, Readout
 
 ACTIONS = "actions.npz"
 TOLERANCE = 1e-4
-"""Of a reward, which is at most 10: more is another episode."""
+"""A reward is at most 10; two that differ by more than this are of different episodes."""
 
 
 class _Repeats:

@@ -62,7 +62,7 @@ class SecondSimulation:
 
     @property
     def goes_on(self) -> bool:
-        """Whether a decision is left in this episode."""
+        """True while this episode has a decision left."""
         return self._whole and not self.simulation.ended
 
     def step(self) -> None:

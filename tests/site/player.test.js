@@ -35,7 +35,7 @@ test('a camera of the schedule works again when the episode begins anew', () => 
   assert.deepEqual(player.journals[0], []);
 });
 
-test('a camera that comes back by hand is back in what is told', () => {
+test('the journal has a camera that a visitor switches on again', () => {
   const player = played(1);
   player.schedule = [{step: 15, camera: 'first', state: off, side: 'both'}];
   player.begin(5000);

@@ -51,8 +51,8 @@ class Page {
 
   /** The first scene, by an engine that acts live if there is one. */
   opening() {
-    const opening = this.catalogue.opening(), [entry, rival] = opening.entries;
-    this.play({policy: entry.name, vs: rival?.name ?? null, seed: opening.seed,
+    const opening = this.catalogue.opening(), [first, second] = opening.entries;
+    this.play({policy: first.name, vs: second?.name ?? null, seed: opening.seed,
       events: openingEvents(opening, acts(opening)[0])}, 'opening');
   }
 
@@ -139,8 +139,8 @@ class Page {
     notice(problem.message, problem.fatal && films && this.alive
       ? {words: 'Show recorded episodes', act: () => showRecordings(this.manifest, this)} : undefined);
     if (!this.ready) say(byId('loading-words'), problem.message);
-    const [entry, rival] = this.explorer.entries; // The lists name who acts, not who could not.
-    if (entry) this.explorer.transport.show(entry, rival ?? null);
+    const [first, second] = this.explorer.entries; // The lists name the policies that act.
+    if (first) this.explorer.transport.show(first, second ?? null);
     return undefined;
   }
 
