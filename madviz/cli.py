@@ -27,7 +27,7 @@ from madviz.system.address import without_secrets
 from madviz.system.files import pretty, write_json, written_to
 from madviz.system.plugins import load
 from madviz.system.signals import terminable
-from madviz.system.streams import open_standard_streams, say, telling
+from madviz.system.streams import NOT_WRITTEN, open_standard_streams, say, telling
 
 
 def main(
@@ -55,9 +55,10 @@ def main(
         say("madviz: stopped")
         return 128 + signal_of(stopped)
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None and error.errno not in NOT_WRITTEN:
             raise
-        say(f"madviz: {error.filename!s:.200}: {error.strerror}")
+        where = error.filename or "a file that it writes"
+        say(f"madviz: {where!s:.200}: {error.strerror}")
         return 2
 
 

@@ -255,7 +255,8 @@ def test_one_presents_and_the_others_watch(shown: App):
                 "start",
                 "start B",
             ):
-                assert presenter.find(label) and not watcher.find(label), label
+                until(lambda label=label: presenter.find(label))
+                assert not watcher.find(label), label
             (row,) = presenter.find("Episode")
             presenter.set(row, "pause")
             until(lambda: watcher.shown('data-phase="paused"'))

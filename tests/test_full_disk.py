@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from madviz.cli import main
 from madviz.errors import UserError
 from madviz.recording.record import RecordConfig, run_record
 from madviz.runs.run_folder import RunFolder
@@ -110,3 +111,17 @@ def test_a_recording_that_runs_out_of_room_leaves_no_file(
     with room_for(2_000), pytest.raises(UserError, match="^--out .*could not be written: File too"):
         run_record(config)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_command_that_runs_out_of_room_says_so_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def no_room(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("madviz.session.session_file.write_bytes", no_room)
+    words = ["record", "--policy", "tests.fakes:FakePolicy", "--steps", "3"]
+    kept = ["--out", str(tmp_path / "film.rrd"), "--keep", str(tmp_path / "kept.json")]
+    assert main([*words, *kept]) == 2
+    assert capsys.readouterr().err == "madviz: a file that it writes: No space left on device\n"
+    assert files(tmp_path) == {"film.rrd"}

@@ -20,6 +20,9 @@ from typing import TextIO
 
 from madviz.errors import UserError
 
+NOT_WRITTEN = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
+"""What a disk that takes no more says; Python then names no file."""
+
 
 def open_standard_streams() -> None:
     """Puts /dev/null where standard input, output or error is closed; called first of all."""
@@ -43,7 +46,7 @@ def telling() -> Iterator[None]:
     except BrokenPipeError:
         _give_up(sys.stdout)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT):
+        if error.errno not in NOT_WRITTEN:
             raise
         _give_up(sys.stdout)
         raise UserError(
