@@ -161,6 +161,27 @@ def test_a_switch_that_is_still_to_come_stays_in_the_address(visit, address):
     assert "step 0 of 30" in page.locator("#timeline").inner_text()
 
 
+def test_a_refused_session_leaves_the_switches_that_are_still_to_come(
+    visit, address, tmp_path: Path
+):
+    page = visit(address + f"{LINK}&first=off@25", reduced_motion="reduce")
+    path = tmp_path / "session.json"
+    path.write_text("{")
+    page.locator("input[type=file]").set_input_files(path)
+    page.wait_for_selector("#notices .notice")
+    page.wait_for_timeout(1500)  # Longer than the page waits before it writes.
+    assert "first=off@25" in page.url
+    assert "Opening" not in page.locator("#line").inner_text()
+
+
+def test_a_policy_that_is_being_loaded_is_named(visit, address):
+    page = visit(address + LINK, reduced_motion="reduce")
+    page.locator("#who").select_option(MERGED_ONLY)
+    until(page, "Loading Merged Only …", "#line")
+    page.wait_for_function("() => !document.querySelector('#line').innerText.includes('Loading')")
+    assert page.locator("#headline").inner_text() == "Merged Only: Hammer"
+
+
 def test_a_link_that_is_pasted_into_an_open_page_is_followed(visit, address):
     page = visit(address)
     page.evaluate(f"location.hash = '#policy={MERGED_ONLY}&seed=5002&first=black@2'")

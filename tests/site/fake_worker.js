@@ -61,6 +61,7 @@ async function open({base, policy, second, seed: wanted, events, guard}) {
   for (let done = 0; done <= 10; done += 5) {
     say({kind: 'Progress', what: 'Fetching the simulator', done: done * 1e6, of: 10e6});
   }
+  if (opened) await new Promise(resolve => setTimeout(resolve, 300)); // A file comes slowly.
   sides = [side(policy), ...(second ? [side(second)] : [])];
   schedule = events ?? [];
   guarded = guard ?? false;

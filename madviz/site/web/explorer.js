@@ -79,6 +79,8 @@ export class Explorer {
     this.silent = false;
     /** Who will succeed in an episode, as the visitor thinks; '' where nobody guessed. */
     this.guess = {words: '', episode: 0};
+    /** What the page waits for; the episode before stands still meanwhile. */
+    this.awaited = '';
   }
 
   /** @param {'loading' | 'opening' | 'explore'} mode */
@@ -91,6 +93,13 @@ export class Explorer {
       byId(id).hidden = !shown.includes(id);
     }
     this.headline();
+  }
+
+  /** Says what the page waits for. @param {string} words '' where it waits no more. */
+  waitFor(words) {
+    if (words === this.awaited) return;
+    this.awaited = words;
+    if (this.frame) this.words(this.frame, worldsOf(this.frame));
   }
 
   headline() {
@@ -284,6 +293,7 @@ export class Explorer {
   /** The line that says what has just happened. @param {Frame} frame @param {World[]} worlds */
   words(frame, worlds) {
     const line = byId('line');
+    if (this.awaited) return tell(line, [document.createTextNode(this.awaited)]);
     if (this.mode === 'opening') {
       const {words, episode} = this.guess;
       return tell(line, story(frame, this.catalogue.opening(), this.tally,

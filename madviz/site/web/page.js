@@ -32,6 +32,8 @@ class Page {
     this.explorer = new Explorer(this.catalogue, command => this.engine?.post(command),
       change => this.choose(change), () => this.opening());
     this.ownHash = '';
+    /** @type {'opening' | 'explore'} */
+    this.mode = 'explore';
     /** The switches of the scene that is on its way. @type {Scene['events'] | null} */
     this.asked = null;
   }
@@ -74,6 +76,7 @@ class Page {
       this.engine = startEngine(recorded, this.manifest, answer => this.answer(answer));
     }
     this.mode = mode;
+    if (this.ready) this.explorer.waitFor(`Loading ${this.catalogue.find(scene.policy)?.label} …`);
     this.engine.post({kind: 'Open', base: BASE, policy: scene.policy, seed: scene.seed,
       second: scene.vs, events: scene.events, guard: scene.guard ?? false});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
@@ -107,7 +110,8 @@ class Page {
         this.ready = true;
         if (this.asked) explorer.planned = this.asked;
         this.standstill?.end();
-        explorer.setMode(this.mode ?? 'explore');
+        explorer.waitFor('');
+        explorer.setMode(this.mode);
         document.body.dataset.ready = 'true';
         return undefined;
       case 'Frame':
@@ -132,6 +136,7 @@ class Page {
     const films = this.manifest.recordings.length > 0;
     this.standstill?.end();
     this.asked = null;
+    this.explorer.waitFor('');
     if (problem.refused && films && this.alive) {
       notice(`${problem.message} What follows are recorded episodes.`);
       return showRecordings(this.manifest, this);
@@ -221,9 +226,11 @@ class Page {
       notice(`${file.name} has more than ${megabytes(LONGEST)}, so it is no saved session.`);
       return;
     }
-    this.explorer.setMode('explore');
-    this.explorer.planned = [];
-    this.engine?.post({kind: 'Replay', text: await file.text()});
+    const text = await file.text();
+    this.mode = 'explore';
+    this.asked = [];
+    this.explorer.waitFor(`Opening ${file.name} …`);
+    this.engine?.post({kind: 'Replay', text});
   }
 }
 

@@ -108,8 +108,7 @@ export class Stage extends Episodes {
       this.schedule = events ?? [];
       this.phase = 'playing';
       await this.begin(seed);
-      const seconds = (performance.now() - start) / 1000;
-      this.say({kind: 'Ready', seconds, backend: this.drawing.backend});
+      this.ready(start);
     } catch (error) {
       this.problem(error, first);
     }
@@ -236,6 +235,7 @@ export class Stage extends Episodes {
 
   /** @param {{text: string, episode?: number}} command */
   async onReplay({text, episode}) {
+    const start = performance.now();
     const recipe = readEpisode(text, episode, this.stock?.manifest.policies ?? []);
     const sides = await this.made([recipe.policy]);
     sides[0].physics.check(recipe.seed);
@@ -245,6 +245,7 @@ export class Stage extends Episodes {
     this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('first')}));
     this.phase = 'playing';
     await this.begin(recipe.seed);
+    this.ready(start);
   }
 
   /** @param {{on: boolean}} command */
@@ -254,6 +255,12 @@ export class Stage extends Episodes {
   }
 
   // --- Parts --------------------------------------------------------------------------------------
+
+  /** @param {number} start When what is played now was asked for. */
+  ready(start) {
+    const seconds = (performance.now() - start) / 1000;
+    this.say({kind: 'Ready', seconds, backend: this.drawing.backend});
+  }
 
   /**
    * Simulations of policies of one task, ready to begin.
