@@ -6,6 +6,7 @@ Its options are read, and its result is handed over, as for a command of ``madvi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 from madviz import cli
 from madviz.commands import Command
@@ -40,6 +41,14 @@ BENCHMARKS: dict[str, Command] = {
         config="benchmarks.crowd:CrowdConfig",
         work="benchmarks.crowd:bench_crowd",
         words=PRETTY,
+    ),
+    "soak": Command(
+        "Lets visitors come and go for an hour; says whether the server has grown.",
+        "soak --minutes 3 --visitors 2",
+        config="benchmarks.soak:SoakConfig",
+        work="benchmarks.soak:soak",
+        words="benchmarks.soak:soak_words",
+        ok=itemgetter("ok"),
     ),
     "imagine": Command(
         "What a masked autoencoder draws of a camera that is missing, against two controls.",

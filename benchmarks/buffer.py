@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.memory import kilobytes
 from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
 from madviz.runs.buffer import BufferSpec, ReplayBuffer
 from madviz.runs.buffer_storage import TOGETHER
-from madviz.soak.memory import kilobytes
 from madviz.system.numbers import Count, StepsOrNone, Width
 from madviz.types import Array, Environment
 
@@ -186,7 +186,6 @@ def _fill(
     return {
         "transitions": count,
         "seconds": round(seconds, 1),
-        "held_gb": round(buffer.bytes_held / 1e9, 3),
         "process_grew_gb": round(grown / 1e9, 3),
         "bytes_per_transition": round(grown / count),
         "gb_at_500k": round(grown / count * PAPER / 1e9, 2),

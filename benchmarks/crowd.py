@@ -1,6 +1,6 @@
 """``benchmarks crowd``: how many visitors one machine can take, each with a simulation.
 
-A server in a process of its own, visitors without browsers (``soak/visitor.py``), one number of
+A server in a process of its own, visitors without browsers (``visitor.py``), one number of
 them after the other. Each asks for 10 decisions a second and gets what the machine can give:
 
     visitors         1     2     4     8
@@ -22,11 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.memory import proportional_megabytes
+from benchmarks.page_server import serving
+from benchmarks.visitor import Visitor
 from madviz.errors import UserError
-from madviz.soak.memory import family, proportional_megabytes
-from madviz.soak.server import serving
-from madviz.soak.visitor import Visitor
 from madviz.system.numbers import Count, Rate, ThreadsOrNone, Time
+from madviz.system.processes import family
 
 STARTING = 120.0
 """Seconds within which every visitor has a picture."""

@@ -6,7 +6,7 @@ the moment when the picture shows that camera dropped (its tile has lost all col
 frame around what is imagined) and the text of the action has changed. The server is a process of
 its own, as a user would start it, at full speed.
 
-What watchers get is timed by visitors without browsers (``soak/visitor.py``): real watchers use
+What watchers get is timed by visitors without browsers (``visitor.py``): real watchers use
 machines of their own, and four browsers on two cores would time each other.
 
     updates_per_s, toggle_ms_p50, toggle_ms_p95, toggle_ms   one browser, scene and curves on
@@ -23,7 +23,7 @@ import random
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -31,14 +31,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.page_server import serving
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName
-from madviz.soak.server import serving
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.system.numbers import Count, CountOrNone, ThreadsOrNone, Time
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 STOPWATCH = files("benchmarks").joinpath("stopwatch.js")
 """Runs in the page and takes the times."""
@@ -86,7 +86,7 @@ def bench_live(config: LiveConfig) -> dict[str, Any]:
 def watched(config: LiveConfig) -> dict[str, Any]:
     """One simulation, its owner and those who watch: what the server sends each of them a second,
     all at once."""
-    from madviz.soak.visitor import Visitor
+    from benchmarks.visitor import Visitor
 
     words = ["--visitors", "1", "--watchers", str(config.watchers)]
     with serving(options(config, workers=0) + words) as (url, _), ExitStack() as stack:
@@ -227,22 +227,27 @@ def readout_ms(policy: str, repeats: int = 100) -> float:
 @contextmanager
 def opened(url: str, chromium: str | None) -> Iterator[Page]:
     """A headless browser on ``url`` with the page ready. Raises UserError where there is none."""
-    try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError as error:
-        raise UserError("benchmarks live needs Playwright: pip install playwright") from error
-    chromium = chromium or find_browser()
-    if chromium is None:
-        raise UserError("benchmarks live needs a browser: apt-get install chromium")
-    with sync_playwright() as playwright:
-        try:
-            browser = playwright.chromium.launch(
-                executable_path=chromium, args=list(CHROMIUM_FLAGS)
-            )
-        except Error as error:
-            raise UserError(f"{chromium} is not a browser that starts") from error
+    with started(chromium, CHROMIUM_FLAGS) as browser:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(url)
         page.wait_for_selector(".mv-status", timeout=60_000)
         yield page
+
+
+@contextmanager
+def started(chromium: str | None, flags: Sequence[str]) -> Iterator[Browser]:
+    """A headless browser. Raises UserError where there is none."""
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise UserError("this benchmark needs Playwright: pip install playwright") from error
+    chromium = chromium or find_browser()
+    if chromium is None:
+        raise UserError("this benchmark needs a browser: apt-get install chromium")
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=chromium, args=list(flags))
+        except Error as error:
+            raise UserError(f"{chromium} is not a browser that starts") from error
+        yield browser
         browser.close()

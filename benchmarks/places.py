@@ -40,7 +40,7 @@ from madviz.policies.config import check_environment
 from madviz.policies.seeds import FIRST_DEVELOPMENT, FIRST_SELECTION, seeds_from
 from madviz.subsets import camera_of
 from madviz.system.numbers import Count, Seed, Share
-from madviz.types import Array, CameraPose, Encoded, Environment, KnowsPlaces, NamesPlaces, Policy
+from madviz.types import Array, CameraPose, Encoded, Environment, KnowsPlaces, Policy
 
 STILL = 2e-3
 """Metres: what varies less over all frames is left out, because there is nothing to tell."""
@@ -103,7 +103,7 @@ def bench_places(config: PlacesConfig) -> dict[str, Any]:
         judged = frames(env, policy, config, seeds_from(FIRST_DEVELOPMENT, config.judged))
         count = judged.places.shape[1]
         numbered = tuple(f"place {number + 1}" for number in range(count))
-        names = env.place_names if isinstance(env, NamesPlaces) else numbered
+        names = getattr(env, "place_names", numbered)
     rows = [
         row for index in range(count) for row in _rows(spec.streams, names, index, fitted, judged)
     ]

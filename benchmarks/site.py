@@ -24,8 +24,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.live import started
 from madviz.errors import UserError
-from madviz.system.browser import CHROMIUM_FLAGS, find_browser
+from madviz.system.browser import CHROMIUM_FLAGS
 from madviz.system.numbers import Count, Time
 
 if TYPE_CHECKING:
@@ -127,21 +128,12 @@ def browser_flags(backend: str) -> list[str]:
 def opened(url: str, backend: str) -> Iterator[Page]:
     """An empty page of the site's origin, with the driver in it. Raises UserError where there is
     no browser."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError as error:
-        raise UserError("benchmarks site needs Playwright: pip install playwright") from error
-    chromium = find_browser()
-    if chromium is None:
-        raise UserError("benchmarks site needs a browser: apt-get install chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=browser_flags(backend))
+    with started(None, browser_flags(backend)) as browser:
         page = browser.new_page()
         page.set_default_timeout(_PATIENCE)
         page.goto(f"{url}manifest.json")
         page.evaluate(DRIVER.read_text())
         yield page
-        browser.close()
 
 
 def megabytes(page: Page, policies: list[str], seed: int) -> float:

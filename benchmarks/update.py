@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.memory import HERE, kilobytes
 from benchmarks.naive import NaiveLearner
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS
@@ -26,7 +27,6 @@ from madviz.agent.update import Learner, LearningConfig, Precision
 from madviz.agent.update_graph import WARM_UP
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE
-from madviz.soak.memory import HERE, kilobytes
 from madviz.system.numbers import Count, ThreadsOrNone, Width
 
 

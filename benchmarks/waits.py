@@ -4,7 +4,7 @@ command line.
 Each wait is measured from outside, and stands beside its floor: a Python that imports torch and the
 simulator as any program does, and ends. With ``--before`` another checkout of madviz
 takes turns, so ratios are of one run. For a suite, a visitor without a browser opens the page
-(``soak/visitor.py``):
+(``visitor.py``):
 
     answers_s        from the command until the page answers
     first_picture_s  from the command until the first picture is there
@@ -28,10 +28,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.memory import proportional_megabytes
+from benchmarks.page_server import serving
+from benchmarks.visitor import Visitor
 from madviz.errors import UserError
-from madviz.soak.memory import proportional_megabytes
-from madviz.soak.server import serving
-from madviz.soak.visitor import Visitor
 from madviz.system.numbers import Count
 
 PATIENCE = 120.0

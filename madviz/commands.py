@@ -157,14 +157,6 @@ COMMANDS: dict[str, Command] = {
         words="madviz.grading.grade:grade_words",
         positional=True,
     ),
-    "soak": Command(
-        "Lets visitors come and go for an hour; says whether the server has grown.",
-        "soak --minutes 3 --visitors 2",
-        config="madviz.soak.soak:SoakConfig",
-        work="madviz.soak.soak:soak",
-        words="madviz.soak.soak:soak_words",
-        ok=itemgetter("ok"),
-    ),
 }
 OTHERS = (
     "  --version   prints the version",
@@ -174,6 +166,7 @@ OTHERS = (
 """The options of ``madviz`` itself."""
 MOVED = {
     "bench": "in a clone of the repository, run python -m benchmarks {}",
+    "soak": "in a clone of the repository, run python -m benchmarks soak",
     "displace": "run madviz audit --along, for example --along third_a.right=-0.2:0.2",
 }
 """Names that were commands once, and what to run instead; ``{}`` is the word that followed."""

@@ -12,9 +12,10 @@ import pytest
 
 from benchmarks import crowd
 from benchmarks.crowd import CrowdConfig, bench_crowd
+from benchmarks.memory import proportional_megabytes
+from benchmarks.page_server import await_answer
 from madviz.errors import UserError
-from madviz.soak.memory import family, proportional_megabytes
-from madviz.soak.server import await_answer
+from madviz.system.processes import family
 
 PARENT = (
     "import subprocess, sys\n"

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
+from benchmarks.visitor import Visitor
 from madviz.app.server import ExploreConfig, open_app
 from madviz.cli import main
 from madviz.errors import UserError
 from madviz.measure.audit.audit import AuditConfig, command
 from madviz.policies.checkpoint import load_policy
-from madviz.soak.visitor import Visitor
 from madviz.system.address import KEPT, ServerAddress, without_secrets
 from tests.pages import await_that
 from tests.wires import foreign_server, towards_bright, wiring_file

@@ -15,13 +15,10 @@ from contextlib import contextmanager
 import pytest
 
 from benchmarks.live import LiveConfig, watched
-from madviz.app.users import Limits
-from madviz.errors import UserError
-from madviz.soak.soak import (
+from benchmarks.soak import (
     Crowd,
     Sample,
     SoakConfig,
-    growth_an_hour,
     judged,
     rounds,
     sample,
@@ -29,8 +26,10 @@ from madviz.soak.soak import (
     soak,
     soak_words,
 )
-from madviz.soak.visitor import Visitor
-from tests.pages import fake_app
+from benchmarks.visitor import Visitor
+from madviz.app.users import Limits
+from madviz.errors import UserError
+from tests.pages import await_that, fake_app, seats, sessions_shown
 
 
 def samples(memory, threads=None, processes=None) -> list[Sample]:
@@ -42,25 +41,24 @@ def samples(memory, threads=None, processes=None) -> list[Sample]:
 
 
 def test_growth_during_warm_up_is_no_leak():
-    result = judged(samples([300, 400, 450, 460, 461, 459, 462, 460, 461]))
+    result = judged(samples([300, 400, 450, 460, 461, 459, 462, 460, 461]), 3.0)
     assert result["kept"]
     assert result["memory_mb"]["after_warm_up"] == 460.5 and result["memory_mb"]["end"] == 460.5
 
 
-def test_growth_an_hour_is_counted_from_third_to_third():
-    # 100 rounds in 50 minutes, a MB more in each: two a minute, and the first ten are warm-up.
-    result = {"minutes": 50.0, **judged(samples([460 + n for n in range(100)]))}
-    assert growth_an_hour(result) == pytest.approx(120)
-    few = {"minutes": 4.5, **judged(samples([460 + n for n in range(9)]))}
-    assert growth_an_hour(few) == pytest.approx(120)
+@pytest.mark.parametrize(("rounds", "minutes", "warm_up"), [(100, 50.0, 10), (9, 4.5, 3)])
+def test_growth_an_hour_is_counted_from_third_to_third(rounds, minutes, warm_up):
+    # A MB more in each round, two rounds a minute.
+    result = judged(samples([460 + n for n in range(rounds)]), minutes)
+    assert result["memory_mb"]["growth_an_hour"] == 120 and result["warm_up"] == warm_up
 
 
 def test_growth_after_warm_up_is_a_leak():
-    assert not judged(samples([460 + 5 * n for n in range(9)]))["kept"]
-    assert not judged(samples([460] * 9, threads=[20 + 2 * n for n in range(9)]))["kept"]
-    assert not judged(samples([460] * 9, processes=[1, 1, 1, 1, 1, 1, 1, 2, 2]))["kept"]
+    assert not judged(samples([460 + 5 * n for n in range(9)]), 3.0)["kept"]
+    assert not judged(samples([460] * 9, threads=[20 + 2 * n for n in range(9)]), 3.0)["kept"]
+    assert not judged(samples([460] * 9, processes=[1, 1, 1, 1, 1, 1, 1, 2, 2]), 3.0)["kept"]
     # One straggler at the very end is no leak, a child that stays is.
-    assert judged(samples([460] * 9, threads=[20] * 8 + [40]))["kept"]
+    assert judged(samples([460] * 9, threads=[20] * 8 + [40]), 3.0)["kept"]
 
 
 STAYS, DIES = "import time; time.sleep(60)", "import sys; sys.exit('Traceback: the reason')"
@@ -82,9 +80,9 @@ def server(monkeypatch):
                 process.kill()
                 process.wait()
 
-        monkeypatch.setattr("madviz.soak.soak.serving", serving)
+        monkeypatch.setattr("benchmarks.soak.serving", serving)
         if crowd is not None:
-            monkeypatch.setattr("madviz.soak.soak.rounds", lambda here, *_: crowd(here))
+            monkeypatch.setattr("benchmarks.soak.rounds", lambda here, *_: crowd(here))
 
     return replace
 
@@ -188,7 +186,7 @@ def test_visitors_leave_neither_threads_nor_processes():
         assert not ours() - before
         assert crowd.visits >= 2 and crowd.touches > 20 and crowd.updates > 5
         assert left[-1].processes == left[0].processes
-        assert not app.users.sessions + app.users.watchers + app.users.waiting
+        assert seats(app.users) == (0, 0, 0)
     finally:
         app.stop()
 
@@ -198,10 +196,10 @@ def test_a_simulation_is_freed_as_soon_as_its_visitor_has_left():
     app = fake_app("toy-mad", limits=Limits(visitors=2))
     try:
         with Visitor(app.url) as visitor:
-            wait_until(lambda: visitor.steps)
+            await_that(lambda: visitor.steps, 30.0)
             (number,) = app.server.get_clients()
-            session = weakref.ref(app.users.session_of(number))
-        wait_until(lambda: session() is None)
+            session = weakref.ref(sessions_shown(app.users)[number])
+        await_that(lambda: session() is None, 30.0)
     finally:
         app.stop()
 
@@ -210,7 +208,7 @@ def test_a_visitor_touches_what_can_be_touched_now():
     app = fake_app("toy-mad")
     try:
         with Visitor(app.url) as visitor:
-            wait_until(lambda: visitor.steps)
+            await_that(lambda: visitor.steps, 30.0)
             rng = random.Random(0)
             assert visitor.toggle(rng)
             for uuid in list(visitor.controls):
@@ -221,13 +219,6 @@ def test_a_visitor_touches_what_can_be_touched_now():
             }
     finally:
         app.stop()
-
-
-def wait_until(true) -> None:
-    deadline = time.monotonic() + 30
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 @pytest.mark.slow

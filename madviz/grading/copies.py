@@ -42,15 +42,6 @@ class Returned:
     """'' where its name is none of a lesson."""
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A copy with its checks put back."""
-
-    notebook: NotebookNode
-    edited: frozenset[str]
-    """Checks that were not as they had been handed out."""
-
-
 def handed_out(folder: Path) -> dict[str, NotebookNode]:
     """Lessons with checks, by name. Raises UserError where there are none."""
     notebooks = {path.stem: nbformat.read(path, 4) for path in sorted(folder.glob("*.ipynb"))}
@@ -89,8 +80,9 @@ def check_in(cell: NotebookNode) -> str:
     return asked[1] if asked else ""
 
 
-def prepare(file: Path, lesson: NotebookNode) -> Prepared:
-    """A copy of ``lesson`` that can be run. Raises UserError for what is no notebook."""
+def prepare(file: Path, lesson: NotebookNode) -> tuple[NotebookNode, frozenset[str]]:
+    """A copy of ``lesson`` that can be run, its checks put back, and the checks that were not as
+    they had been handed out. Raises UserError for what is no notebook."""
     notebook = read_copy(file)
     edited = set()
     cells = list(notebook.cells)
@@ -109,7 +101,7 @@ def prepare(file: Path, lesson: NotebookNode) -> Prepared:
             cell.outputs = []
             cell.execution_count = None
     notebook.cells = cells
-    return Prepared(notebook, frozenset(edited))
+    return notebook, frozenset(edited)
 
 
 def read_copy(file: Path) -> NotebookNode:

@@ -151,7 +151,7 @@ def graded(
 ) -> list[Grade]:
     """The rows of one copy, whatever happens to it."""
     from madviz.grading.copies import checks_of, prepare
-    from madviz.grading.run import Bounds, run_copy
+    from madviz.grading.run import run_copy
 
     if not copy.lesson:
         problem = f"expected a name with one of {', '.join(lessons)}, found {copy.file.name}"
@@ -160,12 +160,12 @@ def graded(
     try:
         if copy.file.suffix != SUFFIX:
             raise UserError(f"expected a notebook, found {copy.file.name}")
-        prepared = prepare(copy.file, lessons[copy.lesson])
+        notebook, edited = prepare(copy.file, lessons[copy.lesson])
     except UserError as error:
         return [Grade(copy.student, copy.lesson, e, False, error=str(error)) for e in exercises]
-    bounds = Bounds(config.seconds, config.gigabytes << 30)
-    run = run_copy(prepared.notebook, [p.resolve() for p in policy_roots()], bounds, stop)
-    return list(rows_of(copy, exercises, prepared.edited, run))
+    roots = [root.resolve() for root in policy_roots()]
+    run = run_copy(notebook, roots, config.seconds, config.gigabytes << 30, stop)
+    return list(rows_of(copy, exercises, edited, run))
 
 
 def rows_of(

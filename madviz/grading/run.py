@@ -16,7 +16,7 @@ import msgspec
 import nbformat
 
 from madviz.errors import printable
-from madviz.soak.memory import family
+from madviz.system.processes import family
 from madviz.teaching.checks.exercise import Result
 
 KEPT = ("PATH", "LANG", "PYTHONPATH", "LD_LIBRARY_PATH", "XDG_DATA_DIRS")
@@ -27,15 +27,6 @@ others."""
 STEP = 0.1
 """Seconds between two looks at a copy that runs."""
 OVER = "over"
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """The limits of a copy."""
-
-    seconds: float
-    memory: int
-    """Bytes of data of each of its processes."""
 
 
 @dataclass
@@ -63,10 +54,12 @@ class ReportLine(msgspec.Struct):
 def run_copy(
     notebook: nbformat.NotebookNode,
     policies: list[Path],
-    bounds: Bounds,
+    seconds: float,
+    memory: int,
     stop: threading.Event,
 ) -> CopyRun:
-    """Runs ``notebook`` in an empty folder."""
+    """Runs ``notebook`` in an empty folder, for ``seconds`` and with ``memory`` bytes of data for
+    each of its processes at most."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
         work = Path(place, "work")
@@ -74,7 +67,7 @@ def run_copy(
         for folder in (work, Path(place, "home"), Path(place, "tmp")):
             folder.mkdir()
         nbformat.write(notebook, work / "copy.ipynb")
-        arguments = [work / "copy.ipynb", report, bounds.seconds * CELL, bounds.memory]
+        arguments = [work / "copy.ipynb", report, seconds * CELL, memory]
         with Path(place, "output").open("wb") as output:
             worker = subprocess.Popen(
                 [sys.executable, "-m", "madviz.grading.worker", *map(str, arguments)],
@@ -85,12 +78,12 @@ def run_copy(
                 stderr=output,
                 start_new_session=True,
             )
-            end = watch(worker, began + bounds.seconds, stop)
+            end = watch(worker, began + seconds, stop)
         run = read(report)
     if end or worker.returncode:
         run.end = run.end or end or "its process ended without a word: too much memory or output"
     if end == OVER:
-        run.end = f"it did not end within {bounds.seconds:g} s"
+        run.end = f"it did not end within {seconds:g} s"
     return run
 
 

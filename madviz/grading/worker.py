@@ -23,7 +23,7 @@ from nbclient.exceptions import DeadKernelError
 
 from madviz.errors import printable
 from madviz.grading.inside import MIME
-from madviz.soak.memory import family
+from madviz.system.processes import family
 
 STARTUP = 120
 """Seconds for a kernel to start on a busy machine."""

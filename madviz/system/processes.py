@@ -1,4 +1,4 @@
-"""Worker processes, and how much memory the C library holds.
+"""Worker processes, whom a process has started, and how much memory the C library holds.
 
 OpenGL and PyTorch do not survive a fork, so workers are spawned and load what they need themselves.
 Each is meant for one core: Mesa's software renderer would otherwise take them all.
@@ -18,6 +18,7 @@ import signal
 import sys
 import threading
 from multiprocessing.connection import wait
+from pathlib import Path
 
 from madviz.system.priority import lower_own_priority
 
@@ -41,6 +42,18 @@ def set_up_worker(niceness: int = 0) -> None:
         lower_own_priority(niceness)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def family(pid: int) -> list[int]:
+    """``pid`` and all processes under it that live; without /proc, ``pid`` alone."""
+    found = [pid]
+    for one in found:
+        try:
+            for task in Path(f"/proc/{one}/task").iterdir():
+                found += map(int, (task / "children").read_text().split())
+        except OSError:  # It ended meanwhile.
+            continue
+    return found
 
 
 def limit_heaps() -> None:

@@ -34,7 +34,7 @@ from typing import Any
 from playwright.async_api import BrowserContext, Page, async_playwright
 from playwright.async_api import TimeoutError as PlaywrightTimeoutError
 
-from madviz.soak.memory import proportional_megabytes
+from benchmarks.memory import proportional_megabytes
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.system.files import pretty, write_json
 from tests.e2e.jupyterlab import ERRORS, PANEL, READY, RUN

@@ -1,4 +1,4 @@
-"""``madviz soak``: visitors come, touch controls and go, for an hour; the server must not grow.
+"""Visitors come, touch controls and go, for an hour; the page's server must not grow.
 
 A server in a process of its own, visitors without browsers (``visitor.py``), rounds of 20 s
 (``--round-seconds``: more where a simulation takes long to open). In a round visitors come and go
@@ -29,12 +29,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+from benchmarks.memory import kilobytes
+from benchmarks.page_server import serving
+from benchmarks.visitor import Visitor
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyName
-from madviz.soak.memory import family, kilobytes
-from madviz.soak.server import serving
-from madviz.soak.visitor import Visitor
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
+from madviz.system.processes import family
 
 FEWEST = 9
 """Rounds; where the time is too short for them, they are shorter."""
@@ -148,7 +149,7 @@ def soak(config: SoakConfig) -> dict[str, Any]:
         raise UserError(
             "\n".join([f"expected {FEWEST} rounds, found {len(samples)}", *errors[-10:]])
         )
-    verdict = judged(samples)
+    verdict = judged(samples, minutes)
     served = crowd.updates >= crowd.visits
     return {
         "schema": 1,
@@ -183,21 +184,18 @@ def warm_up(rounds: int) -> int:
     return rounds // (3 if rounds < 30 else 10)
 
 
-def hours_between(rounds: int, minutes: float) -> float:
-    """From the middle of the first third after the warm-up to the middle of the last third."""
-    return minutes / 60 * (1 - warm_up(rounds) / rounds) * 2 / 3
-
-
-def judged(samples: Sequence[Sample]) -> dict[str, Any]:
+def judged(samples: Sequence[Sample], minutes: float) -> dict[str, Any]:
     """After the warm-up the last third is compared with the first. ``kept``: no bound is
     exceeded."""
-    warm = samples[warm_up(len(samples)) :]
+    ignored = warm_up(len(samples))
+    warm = samples[ignored:]
     part = max(1, len(warm) // 3)
     first = warm[:part]
     last = warm[-part:]
     before = statistics.median(s.memory_mb for s in first)
     after = statistics.median(s.memory_mb for s in last)
     growth = after / before - 1
+    between = minutes / 60 * (1 - ignored / len(samples)) * 2 / 3  # Hours, from middle to middle.
     threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
     processes = (max(s.processes for s in first), min(s.processes for s in last))
     within = (
@@ -205,10 +203,12 @@ def judged(samples: Sequence[Sample]) -> dict[str, Any]:
     )
     return {
         "rounds": len(samples),
+        "warm_up": ignored,
         "memory_mb": {
             "after_warm_up": round(before, 1),
             "end": round(after, 1),
             "growth": round(growth, 4),
+            "growth_an_hour": round((after - before) / between, 1),
             "rounds": [round(s.memory_mb, 1) for s in samples],
         },
         "threads": {
@@ -258,13 +258,6 @@ def sample(pid: int) -> Sample:
     return Sample(memory / 1024, threads, len(processes))
 
 
-def growth_an_hour(result: dict[str, Any]) -> float:
-    """MB; the growth after the warm-up, by the hours that it took."""
-    memory = result["memory_mb"]
-    hours = hours_between(len(memory["rounds"]), result["minutes"])
-    return (memory["end"] - memory["after_warm_up"]) / hours
-
-
 def soak_words(result: dict[str, Any]) -> str:
     """The result in a few lines."""
     memory = result["memory_mb"]
@@ -273,7 +266,7 @@ def soak_words(result: dict[str, Any]) -> str:
         f"{result['visits']} visits, {result['touches']} touches, {result['updates']} updates in "
         f"{result['minutes']:.1f} min",
         f"memory {memory['after_warm_up']} -> {memory['end']} MB ({100 * memory['growth']:+.1f} %, "
-        f"{growth_an_hour(result):+.1f} MB an hour)",
+        f"{memory['growth_an_hour']:+.1f} MB an hour)",
         f"threads {threads['after_warm_up']} -> {threads['end']}, processes "
         f"{result['processes']['after_warm_up']} -> {result['processes']['end']}",
         f"lines in the log: {result['log_lines']}",

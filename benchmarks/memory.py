@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from madviz.system.processes import family
+
 HERE = Path("/proc/self/status")
 
 
@@ -14,18 +16,6 @@ def kilobytes(field: str, status: Path = HERE) -> int | None:
         return None
     lines = status.read_text().splitlines()
     return next((int(line.split()[1]) for line in lines if line.startswith(f"{field}:")), 0)
-
-
-def family(pid: int) -> list[int]:
-    """``pid`` and all processes under it that live."""
-    found = [pid]
-    for one in found:
-        try:
-            for task in Path(f"/proc/{one}/task").iterdir():
-                found += map(int, (task / "children").read_text().split())
-        except OSError:  # It ended meanwhile.
-            continue
-    return found
 
 
 def proportional_megabytes(pid: int) -> float:

@@ -1,1 +1,0 @@
-"""Lets visitors come and go: whether a server grows, and visitors without a browser."""
