@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from design_rows import DESIGNS, design_tables, finished
+from findings import ALONE, CUBE, LEVELS, LOSSES, PUSH, Finding, judged
 from measurements import table
 from policy_files import ROOT
 
 from madviz.plots.figures import Bar, dots
-from madviz.report.designs import DESIGNS, design_tables, finished
-from madviz.report.findings import ALONE, CUBE, LEVELS, LOSSES, PUSH, Finding, judged
 from madviz.report.rows import Difference
 from madviz.report.tables import ResultTable
 

@@ -27,7 +27,8 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import madviz
-from benchmarks.__main__ import PROGRAM
+from benchmarks.__main__ import BENCHMARKS, PROGRAM
+from madviz.commands import COMMANDS
 from madviz.training.config import RECIPES, TrainConfig
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -60,26 +61,63 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return f"{markdown.rstrip()}\n\n{package_tree.files()}"
 
 
-def help_of(*command: str, module: str = "madviz") -> str:
-    """The output of ``python -m MODULE COMMAND --help``, 100 columns wide and without colours."""
+PRINTS_HELP = """
+import io, json, sys
+from contextlib import redirect_stdout
+from importlib import import_module
+
+pages = []
+for module, *words in json.load(sys.stdin):
+    page = io.TextIOWrapper(io.BytesIO(), "utf-8")  # With an encoding: lines are drawn in boxes.
+    with redirect_stdout(page):
+        try:
+            code = import_module(f"{module}.__main__").main([*words, "--help"])
+        except SystemExit as ended:
+            code = ended.code
+    if code:
+        sys.exit(f"{module} {words} --help ended with {code}")
+    page.seek(0)
+    pages.append(page.read())
+json.dump(pages, sys.stdout)
+"""
+"""A program that reads a list of commands, and writes the list of their helps."""
+
+
+def helps(commands: list[tuple[str, ...]]) -> dict[tuple[str, ...], str]:
+    """The output of ``python -m COMMAND --help`` for each command, 100 columns wide and without
+    colours. A process of its own has imported what the commands need only once."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
-    program = [sys.executable, "-m", module, *command, "--help"]
     printed = subprocess.run(
-        program, capture_output=True, text=True, check=True, env=environment, cwd=ROOT
+        [sys.executable, "-c", PRINTS_HELP],
+        input=json.dumps(commands),
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        env=environment,
+        cwd=ROOT,
     )
-    lines = re.sub(r"\x1b\[[0-9;]*m", "", printed.stdout).replace(str(ROOT), ".").splitlines()
+    return dict(zip(commands, map(plain, json.loads(printed.stdout)), strict=True))
+
+
+def plain(page: str) -> str:
+    """A printed page without colours, without this folder's name, and without spaces at the end of
+    its lines."""
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", page).replace(str(ROOT), ".").splitlines()
     return "\n".join(line.rstrip() for line in lines)
-
-
-def commands(usage: str) -> list[str]:
-    """The names in a usage text: the first word of every line that is indented by two."""
-    return re.findall(r"^  ([a-z]+)  ", usage, re.MULTILINE)
 
 
 def command_line() -> str:
     """Markdown with the help of every command and of every benchmark."""
-    whole = help_of()
-    usage = help_of(module="benchmarks")
+    recipes = [other for other in RECIPES if other != TrainConfig.recipe]
+    page = helps(
+        [
+            ("madviz",),
+            *(("madviz", name) for name in COMMANDS),
+            *(("madviz", "train", "--recipe", recipe) for recipe in recipes),
+            ("benchmarks",),
+            *(("benchmarks", name) for name in BENCHMARKS),
+        ]
+    )
     parts = [
         "# Command line",
         "Made from `--help` when these pages are built, so the policies are those of the "
@@ -88,21 +126,21 @@ def command_line() -> str:
         "`--json -` prints it, and then nothing else goes to standard output. The exit code is 0 "
         "only for success, 2 for a mistake in the command, 1 for any other failure, 130 after "
         "Ctrl-C.",
-        f"```text\n{whole}\n```",
+        f"```text\n{page['madviz',]}\n```",
     ]
-    for name in commands(whole):
-        described = help_of(name)
-        parts.append(f"## madviz {name}\n\n```text\n{described}\n```")
+    for name in COMMANDS:
+        parts.append(f"## madviz {name}\n\n```text\n{page['madviz', name]}\n```")
         if name == "train":
-            for recipe in [other for other in RECIPES if other != TrainConfig.recipe]:
-                asked = help_of(name, "--recipe", recipe)
+            for recipe in recipes:
+                asked = page["madviz", "train", "--recipe", recipe]
                 own = asked[
                     asked.index(f"╭─ {RECIPES[recipe].options.replace('_', '-')} options") :
                 ]
                 parts.append(f"### Options of the recipe {recipe}\n\n```text\n{own}\n```")
+    usage = page["benchmarks",]
     parts.append(f"## Benchmarks\n\nFrom a clone of the repository.\n\n```text\n{usage}\n```")
-    for name in commands(usage):
-        parts.append(f"### {PROGRAM} {name}\n\n```text\n{help_of(name, module='benchmarks')}\n```")
+    for name in BENCHMARKS:
+        parts.append(f"### {PROGRAM} {name}\n\n```text\n{page['benchmarks', name]}\n```")
     return "\n\n".join(parts) + "\n"
 
 

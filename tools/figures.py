@@ -1,5 +1,5 @@
 """Pictures of the docs, from files of results: findings.svg, README's plot; loss-and-episodes.svg,
-once that design is complete; and soak.svg, memory of the page's server in `madviz soak`.
+once that design is complete; and soak.svg, memory of the page's server in `benchmarks soak`.
 
 python tools/figures.py
 """
@@ -10,13 +10,12 @@ import math
 from typing import Any
 
 from crossed_table import crossed_figure
+from findings import judged
 from measurements import read_all
 from policy_files import ROOT, every_table
 
 from madviz.plots.figures import Bar, curves, dots
 from madviz.plots.styles import styles
-from madviz.report.findings import judged
-from madviz.soak.soak import warm_up
 
 DOCS = ROOT / "docs"
 
@@ -37,18 +36,17 @@ def findings_figure() -> str:
 def soak_figure() -> str:
     """SVG text: the server's memory after each round of each piece, when nobody visited, against
     what it was after the warm-up; the rounds of that are left out."""
-    series = {
-        stem: _changes(soak["memory_mb"]) for stem, soak in read_all("archive/soak/*").items()
-    }
+    series = {stem: _changes(soak) for stem, soak in read_all("archive/soak/*").items()}
     colours = {name: style.colour for name, style in styles(list(series)).items()}
     last = max(len(rounds) for rounds in series.values()) - 1
     title = "Change of memory since the warm-up, while nobody visits (MB)"
     return curves(title, series, colours, {}, last, height=220, unit="round")
 
 
-def _changes(memory: dict[str, Any]) -> list[float]:
+def _changes(soak: dict[str, Any]) -> list[float]:
+    memory = soak["memory_mb"]
     rounds = memory["rounds"]
-    first = warm_up(len(rounds))
+    first = soak["warm_up"]
     return [math.nan] * first + [used - memory["after_warm_up"] for used in rounds[first:]]
 
 

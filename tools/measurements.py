@@ -15,7 +15,6 @@ from policy_files import LABELS, ROOT, SINGLES, on_development, policies, rates,
 
 from madviz.measure.statistics import SuccessRate, pair
 from madviz.report.layouts import THREE
-from madviz.soak.soak import growth_an_hour
 from madviz.system.markdown import markdown_table
 
 CLASS_RUNS = ("lessons", "pages", "alone")
@@ -352,7 +351,7 @@ def places() -> str:
 
 
 def soak() -> str:
-    """Memory and threads of the page's server before and after each piece of `madviz soak`."""
+    """Memory and threads of the page's server before and after each run of `benchmarks soak`."""
     rows = []
     for result in read_all("archive/soak/*").values():
         memory = result["memory_mb"]
@@ -365,7 +364,7 @@ def soak() -> str:
                 f"{result['visits']:,}",
                 f"{result['touches']:,}",
                 f"{memory['after_warm_up']:.0f}, {memory['end']:.0f}",
-                f"{growth_an_hour(result):+.1f} MB",
+                f"{memory['growth_an_hour']:+.1f} MB",
                 f"{threads['after_warm_up']}, {threads['end']}",
                 result["log_lines"],
             )

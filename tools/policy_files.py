@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from design_rows import design_tables
+
 from madviz.measure.evidence import Evidence, find_evidence
 from madviz.policies.seeds import DEVELOPMENT
-from madviz.report.designs import design_tables
 from madviz.report.layouts import LAYOUTS, THREE
 from madviz.report.rows import Row
 from madviz.report.tables import ResultTable, build, row_of
@@ -45,7 +46,7 @@ def rates(measured: Row, subsets: Sequence[str] = SINGLES) -> list[str]:
 
 
 def every_table() -> list[ResultTable]:
-    """The tables of results/RESULTS.md, and those that serve its claims only."""
+    """The tables of results/RESULTS.md, and those that serve the claims only."""
     tables = [table for layout in LAYOUTS for table in build(layout, list(policies().values()))]
     return [*tables, *design_tables(ROOT / "results")]
 

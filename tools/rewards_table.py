@@ -3,11 +3,11 @@ from results/rewards.csv (``python tools/designs.py rewards``)."""
 
 from __future__ import annotations
 
+from design_rows import DESIGNS, finished, read_rows
+from findings import verdict
 from measurements import table
 from policy_files import LABELS, ROOT
 
-from madviz.report.designs import DESIGNS, finished, read_rows
-from madviz.report.findings import verdict
 from madviz.report.layouts import THREE
 from madviz.report.rows import Row, difference
 

@@ -4,10 +4,10 @@
     evaluation.json       episodes         threshold.py      pictures.py      pictures/*.svg
     development.json                                         rates_csv.py     rates.csv
     curve.csv                                                sweeps.py        sweeps/*.toml
-    rewards.csv       ->  designs.py
 
 Nothing is typed, and without ``--evaluate`` nothing is run: the same files give the same bytes, so
-that a committed RESULTS.md can be checked against what it was made from. Tables for which there are
+that a committed RESULTS.md can be checked against what it was made from (the repository's own has a
+table of claims before that, by ``tools/fill_figures.py``). Tables for which there are
 no files yet are left out; a task without a policy stays in the first table, as not trained.
 """
 
@@ -24,7 +24,6 @@ from madviz.measure.evidence import Evidence, find_evidence
 from madviz.policies.listing import BrokenRow
 from madviz.policies.seeds import FIRST_TRY, MEASURED, use_of
 from madviz.report import pictures
-from madviz.report.designs import design_tables
 from madviz.report.evaluate import EPISODES, evaluate_all
 from madviz.report.layouts import BASELINES, LAYOUTS
 from madviz.report.rates_csv import rates_csv
@@ -95,8 +94,7 @@ def run_report(config: ReportConfig) -> ReportResult:
     verdicts = [judge(task, evidence) for task in TWENTY]
     drawn = _drawn(evidence, verdicts, tables, compared)
     sweeps = out.parent / "sweeps"
-    designs = [table for folder in folders for table in design_tables(folder)]
-    text = page(_remake(config, out), evidence, verdicts, tables, designs, drawn, sweeps.as_posix())
+    text = page(_remake(config, out), evidence, verdicts, tables, drawn, sweeps.as_posix())
     _write_all(out.parent / "pictures", drawn, pictures.is_ours)
     _write_all(sweeps, _sweeps(sweeps, verdicts, tables), is_sweep_of_a_table)
     write_bytes(out.parent / "rates.csv", rates_csv(verdicts, [*tables, *compared]).encode())
