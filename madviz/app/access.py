@@ -59,9 +59,9 @@ from madviz.app.proxies import (
     arrival,
     comes_from_elsewhere,
     cookie_rules,
-    has_entered,
     host_of,
     names_of,
+    query_of,
     text,
     with_script,
 )
@@ -96,10 +96,6 @@ class Tries:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._wrong: OrderedDict[str, deque[float]] = OrderedDict()
-
-    def __len__(self) -> int:
-        """How many addresses are remembered."""
-        return len(self._wrong)
 
     def too_many(self, address: str) -> bool:
         """Whether ``address`` has to wait."""
@@ -153,7 +149,8 @@ class Gate:
         if self.visit is None and self.present is None:
             return self._place(connection, request)
         address = str((connection.remote_address or ("?",))[0])
-        asked = _asked(request)
+        query = query_of(request)
+        asked = query.get("token")
         carried = _cookie(request, port)
         said = carried if asked is None else asked
         waits = said is not None and self.tries.too_many(address)
@@ -167,7 +164,7 @@ class Gate:
         if asked is not None and not _is_websocket(request):
             return _admission(request, port, asked)
         role: Role | None = known or (None if self.visit else "visitor")
-        if role is None and has_entered(request) and carried is None:
+        if role is None and ENTERED in query and carried is None:
             return text(HTTPStatus.UNAUTHORIZED, f"<!doctype html><title>madviz</title>{NO_COOKIE}")
         if role is None:
             return _refusal(HTTPStatus.UNAUTHORIZED, ASKED)
@@ -241,12 +238,6 @@ def cookie_name(port: int) -> str:
     return f"madviz-{port}"
 
 
-def _asked(request: Request) -> str | None:
-    """The token in a request's address."""
-    found = dict(parse_qsl(urlsplit(request.path).query, keep_blank_values=True))
-    return found.get("token")
-
-
 def _cookie(request: Request, port: int) -> str | None:
     for line in request.headers.get_all("Cookie"):
         try:
@@ -298,12 +289,9 @@ def _is_owned(host: str, port: int) -> bool:
 
 def _admission(request: Request, port: int, token: str) -> Response:
     """Back to the same address without the token, which then stays out of histories and logs."""
-    rest = [
-        (key, value)
-        for key, value in parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
-        if key != "token"
-    ]
-    if comes_from_elsewhere(request) and not has_entered(request):
+    asked = parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
+    rest = [(key, value) for key, value in asked if key != "token"]
+    if comes_from_elsewhere(request) and ENTERED not in dict(rest):
         rest.append((ENTERED, ""))
     headers = Headers(
         {

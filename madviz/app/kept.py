@@ -12,11 +12,11 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from http import HTTPStatus
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from websockets.http11 import Request, Response
 
-from madviz.app.proxies import text
+from madviz.app.proxies import query_of, text
 from madviz.errors import UserError
 from madviz.session.live_session import LiveSession
 
@@ -57,10 +57,9 @@ class KeptSessions:
 
     def answer(self, request: Request) -> Response | None:
         """The file that is asked for; None where something else is."""
-        asked = urlsplit(request.path)
-        if asked.path != SESSION:
+        if urlsplit(request.path).path != SESSION:
             return None
-        saved = self.of(parse_qs(asked.query).get("visit", [""])[0])
+        saved = self.of(query_of(request).get("visit", ""))
         if saved is None:
             return text(HTTPStatus.NOT_FOUND, GONE, "text/plain")
         return text(HTTPStatus.OK, saved, "application/json")

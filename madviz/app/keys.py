@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from madviz.app.panel import Newest, Send
 from madviz.observation.ablation import CameraState
 from madviz.session.commands import (
-    Command,
     Pause,
     Play,
     Reset,
@@ -14,21 +14,16 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
-from madviz.session.frame import Frame, NoFrame, untouched
+from madviz.session.frame import Frame, untouched
 
 
 class Keys:
     """A visitor's keys. They act on what the page shows last, ``newest``."""
 
-    def __init__(
-        self,
-        send: Callable[[Command], None] | None,
-        newest: Callable[[], Frame | NoFrame | None],
-        frame: Frame,
-    ) -> None:
+    def __init__(self, send: Send | None, newest: Newest, frame: Frame) -> None:
         """``send`` is None for a visitor who only watches, and has none."""
         self._newest = newest
-        self._send: Callable[[Command], None] = send or (lambda command: None)
+        self._send: Send = send or (lambda command: None)
         self._cameras = frame.world.env.cameras
         self._watches = send is None
 
@@ -54,11 +49,6 @@ class Keys:
                 for number, camera in enumerate(self._cameras, 1)
             ),
         ]
-
-    @property
-    def help(self) -> list[tuple[str, str]]:
-        """Key, label."""
-        return [(key, label) for label, key, _ in self.table]
 
     def toggle(self, camera: str) -> None:
         """Drops a camera, or takes it back in the modalities the policy knows."""

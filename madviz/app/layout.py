@@ -17,7 +17,7 @@ import viser
 from madviz.analysis.saliency import Target
 from madviz.app.keys import Keys
 from madviz.app.live_audit import LiveAudit
-from madviz.app.panel import Panel
+from madviz.app.panel import Newest, Panel
 from madviz.app.panels.audit import AuditPanel
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel
@@ -47,9 +47,8 @@ from madviz.app.toolkit import LEFT_WIDTH, LEFT_WIDTH_WIDE, commands, dock
 from madviz.app.tour import Tour
 from madviz.policies.no_policy import NO_POLICY
 from madviz.session.commands import SetSaliency
-from madviz.session.frame import Frame, NoFrame
+from madviz.session.frame import Frame
 from madviz.session.live_session import LiveSession
-from madviz.session.process import References
 from madviz.training.job import TrainingJob
 
 PAIRED = 156
@@ -68,8 +67,6 @@ class Shared:
     """Trainings from the page get folders in its own."""
     greets: bool = True
     """Whether a new visitor is offered a comparison, where there is one to offer."""
-    references: References = field(default_factory=References)
-    """The names by which commands refer to the policies that frames show."""
 
     @cached_property
     def audit(self) -> LiveAudit:
@@ -86,7 +83,7 @@ class Panels:
         session: LiveSession,
         shared: Shared,
         frame: Frame,
-        newest: Callable[[], Frame | NoFrame | None],
+        newest: Newest,
         *,
         wide: bool,
         readonly: bool,
@@ -106,10 +103,9 @@ class Panels:
         self._prediction = prediction
         gui = client.gui
         rates = shared.rates
-        named = shared.references.name_of
         keys = Keys(self._send, newest, frame)
-        tour = Tour(client, self._send, newest, shared.choices, keys.help, named, self._guessed)
-        policy = PolicyPanel(gui, self._send, frame, shared.choices, named)
+        tour = Tour(client, self._send, newest, shared.choices, keys.table, self._guessed)
+        policy = PolicyPanel(gui, self._send, frame, shared.choices)
         own = None if readonly else client.client_id
         recorded = frame.world.env.recorded
         self.success = None if recorded else SuccessPanel(gui, frame, rates, own, measures)
@@ -117,10 +113,10 @@ class Panels:
         with dockable.add_tab("Cameras"):
             width = (LEFT_WIDTH_WIDE if wide else LEFT_WIDTH) - 18
             cameras = CamerasPanel(gui, self._send, frame, width, PAIRED_WIDE if wide else PAIRED)
-            guard = GuardPanel(gui, self._send, frame, named)
+            guard = GuardPanel(gui, self._send, frame)
             words = WordsPanel(gui, frame, rates, None if readonly else prediction)
             if self._send is not None:
-                cameras.breaks = BreakPanel(gui, self._send, frame, client.scene, named)
+                cameras.breaks = BreakPanel(gui, self._send, frame, client.scene)
             tabs = gui.add_tab_group()
         breaks = [TimedPanel(cameras.breaks, 0.1)] if cameras.breaks else []
         self._extras = [dockable, tour, *commands(client, keys.table)]
@@ -133,7 +129,7 @@ class Panels:
             TimedPanel(words, FASTEST),
             *breaks,
             *self._build_tabs(tabs, frame),
-            TimedPanel(self.success or RecordedPanel(gui, frame, named), 0.5),
+            TimedPanel(self.success or RecordedPanel(gui, frame), 0.5),
             *scene,
         ]
         self.refresh = Refresh(self.panels)
@@ -167,7 +163,6 @@ class Panels:
         shared = self._shared
         explain, audited = (self._explain, self._newest) if send else (None, None)
         choices = shared.choices
-        named = shared.references.name_of
         built: list[TimedPanel] = []
 
         def add(tab: viser.GuiTabHandle, *panels: tuple[Callable[[], Panel], float]) -> None:
@@ -192,7 +187,7 @@ class Panels:
         if simulated:
             add(
                 tabs.add_tab("Who wins?"),
-                (lambda: ComparisonPanel(gui, send, frame, choices, named), 0.5),
+                (lambda: ComparisonPanel(gui, send, frame, choices), 0.5),
             )
         with tabs.add_tab("More"):
             more = gui.add_tab_group()

@@ -16,13 +16,13 @@ from typing import Literal
 
 from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
-from madviz.measure.audit.document import AuditFacts, AuditFile, audit_document, facts_of
+from madviz.measure.audit.document import AuditFile, audit_document
 from madviz.measure.audit.lost_cameras import Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.episodes import FIRST_SEED
 from madviz.observation.condition import Condition
 from madviz.session.frame import Frame
-from madviz.types import Array, PolicySpec
+from madviz.types import Array, EnvSpec, PolicySpec
 
 State = Literal["idle", "running", "stopped", "failed", "done"]
 LOOK_AGAIN = 5.0
@@ -69,7 +69,7 @@ class LiveAudit:
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._status = AuditStatus()
-        self._facts: AuditFacts | None = None
+        self._env: EnvSpec | None = None
 
     @property
     def measures(self) -> bool:
@@ -89,8 +89,9 @@ class LiveAudit:
                 raise UserError("an audit is running already; stop it first, or wait for it")
             spec = frame.world.policy
             plan = AuditPlan(Cameras(spec.streams, _supports(frame)), episodes, FIRST_SEED)
-            self._facts = facts_of(spec, frame.world.env)
-            self._status = AuditStatus("running", spec, plan, {}, self._facts["labels"])
+            self._env = frame.world.env
+            labels = {camera.name: camera.label for camera in self._env.cameras}
+            self._status = AuditStatus("running", spec, plan, {}, labels)
             self._ended = threading.Event()
             self._thread = threading.Thread(
                 target=self._run, args=(self._ended,), name="madviz-audit", daemon=True
@@ -130,15 +131,15 @@ class LiveAudit:
         status = self._status
         spec = status.policy
         plan = status.plan
-        assert spec is not None and plan is not None and self._facts is not None
+        assert spec is not None and plan is not None and self._env is not None
         outcomes = {
             condition: dict(self._rates.outcomes(spec, condition)) for condition in plan.every
         }
         status = replace(status, outcomes=outcomes)
         missing = {condition for condition, _ in plan.wanted(outcomes)}
         if not missing:
-            self._facts["outside"] = self._rates.outside(spec, plan.every)
-            document = audit_document(plan, outcomes, self._facts)
+            outside = self._rates.outside(spec, plan.every)
+            document = audit_document(plan, outcomes, spec, self._env, outside)
             return replace(status, state="done", found=document)
         condition = next(condition for condition in plan.every if condition in missing)
         self._rates.want(self, spec, condition)

@@ -142,24 +142,11 @@ class Page:
         left out is due."""
         with self._drawing:
             try:
-                pause = self._push(self._newest, time.monotonic()) if self._newest else None
-                self._take_back_report()
-                return pause
+                return self._push(self._newest, time.monotonic()) if self._newest else None
             except Exception:
                 # A panel that fails must not take the page down; the next frame may be fine.
                 self._report(traceback.format_exc())
                 return None
-
-    def _take_back_report(self) -> None:
-        """Takes back what ``_report`` said: a later frame was shown, nothing is broken."""
-        if (
-            self._panels is not None
-            and self._reported
-            and self._waiting is not None
-            and isinstance(self._newest, Frame)
-        ):
-            self._reported = ""
-            self._waiting.content = waiting_html(self._notice) if self._notice else ""
 
     def _report(self, error: str) -> None:
         """Says once, in the log and on the page, that a frame could not be shown."""
@@ -190,6 +177,9 @@ class Page:
         with self.client.atomic():  # One message, because each one costs the browser a frame.
             apply(changes)
         self.client.flush()
+        if self._reported:  # A later frame was shown, so nothing is broken.
+            self._reported = ""
+            self._waiting.content = waiting_html(self._notice) if self._notice else ""
         return panels.refresh.wait(frame, now)
 
     def _build(self, frame: Frame) -> None:

@@ -8,10 +8,17 @@ block open.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from madviz.app.connection import is_too_late
-from madviz.session.frame import Frame
+from madviz.session.commands import Command
+from madviz.session.frame import Frame, NoFrame
+
+Send = Callable[[Command], None]
+"""Sends a command to the simulation; where a panel takes None instead, it is read-only."""
+Newest = Callable[[], Frame | NoFrame | None]
+"""Gives what the page shows last."""
 
 
 class Assign(NamedTuple):

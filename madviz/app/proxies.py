@@ -60,13 +60,18 @@ def host_of(address: str) -> str | None:
         return None
 
 
+def query_of(request: Request) -> dict[str, str]:
+    """The query of a request's address; of a key that is there twice, the last value."""
+    return dict(parse_qsl(urlsplit(request.path).query, keep_blank_values=True))
+
+
 def arrival(request: Request, refused: str) -> Response | None:
     """The answer to the script's question, which is ``refused`` if that says something; None where
     it is another request."""
     asked = urlsplit(request.path)
     if asked.path != ARRIVAL:
         return None
-    origin = host_of(dict(parse_qsl(asked.query)).get("origin", "")) or ""
+    origin = host_of(query_of(request).get("origin", "")) or ""
     names = names_of(request)
     said = (
         refused if origin in names else LACKS.format(" and ".join(names) or "no name", origin[:200])
@@ -107,26 +112,17 @@ def _page(body: bytes, zipped: bool) -> bytes:
     return gzip.compress(page) if zipped else page
 
 
-def is_framed(request: Request) -> bool:
-    """True where the browser says that it asks for the content of a frame."""
-    return request.headers.get("Sec-Fetch-Dest") == "iframe"
-
-
 def comes_from_elsewhere(request: Request) -> bool:
     """True where a page of another site led here."""
     referer = request.headers.get("Referer")
     return referer is not None and host_of(referer) not in names_of(request)
 
 
-def has_entered(request: Request) -> bool:
-    """True where this browser was given a cookie a moment ago."""
-    return ENTERED in dict(parse_qsl(urlsplit(request.path).query, keep_blank_values=True))
-
-
 def cookie_rules(request: Request) -> str:
     """The rules of this page's cookie for a browser."""
     https = "https" in request.headers.get("X-Forwarded-Proto", "").split(",")[0]
     own = urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
-    if is_framed(request) and (https or stays_here(own)):
+    framed = request.headers.get("Sec-Fetch-Dest") == "iframe"
+    if framed and (https or stays_here(own)):
         return "Path=/; HttpOnly; SameSite=None; Secure; Partitioned"
     return "Path=/; HttpOnly; SameSite=Lax"

@@ -115,17 +115,6 @@ class ExploreConfig:
     it says what it would do."""
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where a page is served, and who gets in."""
-
-    host: str = "127.0.0.1"
-    port: int = 0
-    """0 takes a free one."""
-    gate: Gate | None = None
-    """None lets everybody in; one with a presenter's token makes the page a presentation."""
-
-
 class App:
     """A running page. ``stop`` frees the port and every simulation."""
 
@@ -133,15 +122,17 @@ class App:
         self,
         new_session: Callable[[], LiveSession],
         shared: Shared,
-        address: Address | None = None,
         limits: Limits | None = None,
         *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        gate: Gate | None = None,
         light: bool = False,
     ) -> None:
-        """``new_session`` makes a simulation that is not started yet. ``light``: dark text on light
-        ground. Raises UserError if the port is taken."""
-        address = address or Address()
-        check_port(address.host, address.port)
+        """``new_session`` makes a simulation that is not started yet. ``port`` 0 takes a free one.
+        ``gate`` None lets everybody in; one with a presenter's token makes the page a presentation.
+        ``light``: dark text on light ground. Raises UserError if the port is taken."""
+        check_port(host, port)
         # A browser may leave while a frame is on its way to it; viser would warn about each.
         warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         # And about each value of another type than a message has, with the value: 64 KB of log.
@@ -149,12 +140,10 @@ class App:
         patch_sender()
         self.shared = shared
         limits = limits or Limits()
-        self.gate = address.gate or Gate(local=stays_here(address.host))
+        self.gate = gate or Gate(local=stays_here(host))
         self.gate.most = limits.visitors + limits.watchers + MOST_WAITING
         with self.gate.guarding():
-            self.server = viser.ViserServer(
-                host=address.host, port=address.port, label="madviz", verbose=False
-            )
+            self.server = viser.ViserServer(host=host, port=port, label="madviz", verbose=False)
         guard(self.server)
         theme(self.server.gui, light)
         presents = self._presents if self.gate.present else None
@@ -267,14 +256,11 @@ def open_app(config: ExploreConfig) -> App:
     rates = SuccessRates(shipped, evaluator if config.workers else None, references.name_of)
     return App(
         new_session,
-        Shared(
-            choices,
-            rates,
-            greets=script is None and config.seed is None,
-            references=references,
-        ),
-        Address(config.host, config.port, gate_for(config)),
+        Shared(choices, rates, greets=script is None and config.seed is None),
         Limits(config.visitors, config.watchers),
+        host=config.host,
+        port=config.port,
+        gate=gate_for(config),
         light=config.light,
     )
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from madviz.envs.custom import allow_task
@@ -15,20 +15,10 @@ from madviz.policies.guarded import reference_to
 from madviz.policies.sb3 import trust
 from madviz.recorded.known import allow_recording
 from madviz.session.commands import Command
-from madviz.session.process import Noted
 from madviz.session.replay import finder
 from madviz.session.session import FIRST_SEED, Session
 from madviz.session.session_file import SavedEpisode
-from madviz.types import CameraSpec, Environment, Policy, PolicySpec
-
-Reference = Callable[[PolicySpec], str]
-"""Policy -> what ``load_policy`` knows it by. Its name does not say that: a training of one's own
-is called like the shipped policy with the same task, method and recipe."""
-
-
-def own_name(spec: PolicySpec) -> str:
-    """The reference of a policy that nobody named otherwise."""
-    return spec.name
+from madviz.types import CameraSpec, Environment, Policy
 
 
 @dataclass(frozen=True)
@@ -54,17 +44,29 @@ class SessionMaker:
     recording: Path | None = None
     """Recordings that may be opened."""
 
-    def __call__(self, noted: Noted = lambda name, spec: None) -> Session:
-        """A session that is not started yet. Raises UserError where a script's policy is gone."""
+    def __call__(self, policy: str | None = None) -> Session:
+        """A session that is not started yet; it begins with ``policy`` if that is given, and
+        ``self.policy`` is never loaded. Raises UserError where a script's policy is gone."""
         allow_task(self.task)
         if self.recording is not None:
             allow_recording(self.recording)
         trust(self.typed, self.trusted)
-        policies = LoadedPolicies(self._of_script(), noted)
+        known = self._of_script()
+
+        @cache
+        def load(name: str) -> Policy:
+            if name in known:
+                return known[name]
+            loaded = checkpoint.load_policy(name)
+            # Going through all of it for garbage would cost a step of the simulation each time.
+            gc.collect()
+            gc.freeze()
+            return loaded
+
         session = Session(
             env_in_one_thread,
-            self.policy,
-            policies.load,
+            policy or self.policy,
+            load,
             seed=FIRST_SEED if self.seed is None else self.seed,
             speed=self.speed,
             script=self.script,
@@ -80,26 +82,6 @@ class SessionMaker:
         return {reference_to(policy.name): find(policy) for policy in self.script.policies}
 
 
-class LoadedPolicies:
-    """Policies by reference, each loaded once in this process."""
-
-    def __init__(self, policies: dict[str, Policy], noted: Noted) -> None:
-        """``noted`` hears of every policy once, as what it is known here."""
-        self._policies = policies
-        self._noted = noted
-        self._seen: set[str] = set()
-
-    def load(self, name: str) -> Policy:
-        """Raises UserError for a name that is none."""
-        if name not in self._policies:
-            self._policies[name] = checkpoint.load_policy(name)
-            settle()
-        if name not in self._seen:
-            self._seen.add(name)
-            self._noted(name, self._policies[name].spec)
-        return self._policies[name]
-
-
 def env_in_one_thread(
     task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()
 ) -> Environment:
@@ -111,10 +93,3 @@ def env_in_one_thread(
 
     torch.set_num_threads(1)
     return make_env(task, render_profile, cameras)
-
-
-def settle() -> None:
-    """Takes what is there now out of garbage collection: going through it at every turn would cost
-    a step of the simulation each time."""
-    gc.collect()
-    gc.freeze()

@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any
 
-from madviz.app.session_maker import Reference, own_name
 from madviz.errors import UserError
 from madviz.measure.live import Evaluator, Tally
 from madviz.measure.statistics import SuccessRate
@@ -36,7 +35,7 @@ class SuccessRates:
         self,
         shipped: Shipped = lambda spec: {},
         make_evaluator: Callable[[Callable[[Tally], None]], Evaluator] | None = None,
-        reference: Reference = own_name,
+        reference: Callable[[PolicySpec], str] = lambda spec: spec.name,
     ) -> None:
         """``make_evaluator`` gets the listener for its tallies; without one nothing is measured
         but what runs on pages. ``reference`` is what ``load_policy`` knows a policy by."""

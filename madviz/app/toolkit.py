@@ -1,7 +1,7 @@
 """Everything of viser 1.1 that is experimental or needs a word of explanation, in one place.
 
 *Layout.* Panels dock left and right of the 3D scene. viser has no columns; a container becomes a
-grid when it holds what ``grid`` returns. Where the script behind it does not run, it stays a list.
+grid when ``place`` has been there. Where the script behind it does not run, it stays a list.
 
 *Choices.* A button group is one click to any of its options, but does not show which one is active.
 ``Choice`` marks it, by a style that is rewritten whenever the choice changes.
@@ -142,27 +142,16 @@ class Cell(NamedTuple):
     """Width of its label; ``above`` puts the label on top, ``none`` leaves it out."""
 
 
-def grid(name: str, columns: int, cells: Sequence[Cell]) -> str:
-    """HTML, invisible, that lays out the container it is in: the widgets of ``cells`` where they
-    say, everything else across all columns (``browser/grid.js``)."""
-    places = [
-        {
-            "id": cell.handle._impl.uuid,
-            "column": cell.column,
-            "span": cell.span,
-            "label": cell.label,
-        }
-        for cell in cells
-    ]
-    return (
+def place(gui: viser.GuiApi, name: str, columns: int, cells: Sequence[Cell]) -> list[Any]:
+    """Lays out the container that ``cells`` are in: their widgets where they say, everything else
+    across all columns (``browser/grid.js``). Returns all handles, that of the layout's invisible
+    HTML too."""
+    places = [{**cell._asdict(), "handle": cell.handle._impl.uuid} for cell in cells]
+    layout = gui.add_html(
         f'<div class="mv-grid" data-name="{name}" data-columns="{columns}" '
         f'data-cells="{escape(json.dumps(places))}"></div>'
     )
-
-
-def place(gui: viser.GuiApi, name: str, columns: int, cells: Sequence[Cell]) -> list[Any]:
-    """Lays ``cells`` out in the container they are in. Returns all handles, the layout's too."""
-    return [*(cell.handle for cell in cells), gui.add_html(grid(name, columns, cells))]
+    return [*(cell.handle for cell in cells), layout]
 
 
 def selector(handle: Any) -> str:
@@ -186,13 +175,11 @@ class Choice:
         said = {text: value for value, text in options.items()}
         self.handle = gui.add_button_group(label, list(said), hint=hint)
 
-        def choose(event: viser.GuiEvent) -> None:
-            client = event.client
-            if client is None or event.target.value not in said:
-                return
-            guarded(client, lambda: on_choice(client, said[event.target.value]))
+        def choose(client: viser.ClientHandle, text: str) -> None:
+            if text in said:
+                on_choice(client, said[text])
 
-        self.handle.on_click(heard(choose))
+        on_use(self.handle, choose)
 
     def style(self, *active: str, opened: str = "") -> str:
         """CSS that marks the active buttons, and the one whose panel is ``opened`` by a frame."""
@@ -243,27 +230,21 @@ class SyncedInput:
         return [Assign(self.handle, "value", value)]
 
 
-def on_value(handle: Any, work: Callable[[viser.ClientHandle, Any], None]) -> None:
-    """Calls ``work(client, value)`` when a visitor changes ``handle``; never for our own
-    assignments."""
+def on_use(
+    handle: Any,
+    work: Callable[[viser.ClientHandle, Any], None],
+    how: Callable[[Callable[[Any], None]], Any] = heard,
+) -> None:
+    """Calls ``work(client, value)`` when a visitor presses ``handle`` or changes it; never for our
+    own assignments. Its UserError becomes a note. ``how``: ``heard`` or ``one_at_a_time``."""
 
-    def change(event: viser.GuiEvent) -> None:
+    def used(event: viser.GuiEvent) -> None:
         client = event.client
         if client is not None:
             guarded(client, lambda: work(client, event.target.value))
 
-    handle.on_update(heard(change))
-
-
-def on_press(button: viser.GuiButtonHandle, work: Callable[[], None]) -> None:
-    """Calls ``work``, which is done at once, when a visitor presses ``button``; its UserError
-    becomes a note."""
-
-    def press(event: viser.GuiEvent) -> None:
-        if event.client is not None:
-            guarded(event.client, work)
-
-    button.on_click(heard(press))
+    register = getattr(handle, "on_click", None) or handle.on_update
+    register(how(used))
 
 
 class WidgetPanel(Panel):

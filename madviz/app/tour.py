@@ -19,8 +19,8 @@ from typing import Any
 
 import viser
 
+from madviz.app.panel import Newest, Send
 from madviz.app.panels.policy import PolicyChoice, offered
-from madviz.app.session_maker import Reference, own_name
 from madviz.app.toolkit import Cell, guarded, heard, notify, place, theme
 from madviz.app.tour_steps import (
     Step,
@@ -81,19 +81,17 @@ class Tour:
     def __init__(
         self,
         client: viser.ClientHandle,
-        send: Callable[[Command], None] | None,
-        newest: Callable[[], Frame | NoFrame | None],
+        send: Send | None,
+        newest: Newest,
         choices: Sequence[PolicyChoice],
-        keys: Sequence[tuple[str, str]],
-        named: Reference = own_name,
+        keys: Sequence[tuple[str, str, Callable[[], None]]],
         guessed: Callable[[str], None] = lambda guess: None,
     ) -> None:
-        """``send`` None: a watcher, who gets help only. ``keys``: (key, what it does). ``guessed``
+        """``send`` None: a watcher, who gets help only. ``keys`` as in ``Keys.table``. ``guessed``
         hears who a visitor thinks will succeed, or *just show me*."""
         self._client = client
         self._send = send
         self._newest = newest
-        self._named = named
         self._choices = choices
         self._keys = keys
         self._guessed = guessed
@@ -136,10 +134,10 @@ class Tour:
             known = ", ".join(self._pairs(frame))
             notify(self._client, "Choose another policy first", ALONE.format(known))
         elif button == COMPARE_BUTTON:
-            self._offer(start)
+            self.greet(start)
             self.next()  # Who presses it has asked for it.
         elif button == TOUR_BUTTON:
-            self._begin(start)
+            self.begin(start)
 
     def _other(self, frame: Frame | NoFrame | None) -> str | None:
         """The policy to compare with, if there is one."""
@@ -152,28 +150,22 @@ class Tour:
         here = offered(self._choices, frame.world.env.task)
         return [label for label, name in here.items() if never_alone(name, self._choices)]
 
-    def greet(self) -> None:
-        """Offers the comparison, if there is a policy to compare with."""
-        self._offer()
-
-    def _offer(self, start: Frame | None = None) -> None:
-        """``start``: the settings that are on their way back, where the page shows others."""
+    def greet(self, start: Frame | None = None) -> None:
+        """Offers the comparison, if there is a policy to compare with. ``start``: the settings that
+        are on their way back, where the page shows others."""
         frame = start or self._newest()
         other = self._other(frame)
         if isinstance(frame, Frame) and other is not None:
-            first = unguarded(self._named(frame.world.policy))
+            first = unguarded(frame.world.reference)
             fitted = has_guard(first) and has_guard(other)
             steps = acts if fitted else comparison_steps
-            self._open(frame, steps(frame, other, self._named), start)
+            self._open(frame, steps(frame, other), start)
 
-    def begin(self) -> None:
-        """Opens the tour's window at its first step."""
-        self._begin()
-
-    def _begin(self, start: Frame | None = None) -> None:
+    def begin(self, start: Frame | None = None) -> None:
+        """Opens the tour's window at its first step. ``start`` as in ``greet``."""
         frame = start or self._newest()
         if isinstance(frame, Frame):
-            self._open(frame, steps(frame, self._choices, self._named), start)
+            self._open(frame, list(steps(frame, self._choices)), start)
 
     def _open(self, frame: Frame, steps: list[Step], start: Frame | None) -> None:
         if self._send is None or self._panel is not None:
@@ -181,7 +173,7 @@ class Tour:
         self._start = start
         self._steps = steps
         self._at = 0
-        self._acting = self._named(frame.world.policy)
+        self._acting = frame.world.reference
         gui = self._client.gui
         self._panel = gui.add_panel()
         self._panel.float(x=10, y=10, width=WIDTH)
@@ -197,10 +189,11 @@ class Tour:
         self._end.on_click(heard(lambda _: self.end()))
         self._show()
 
-    def _go(self) -> None:
+    def _go(self, guess: str = "") -> None:
+        """Leads on, by the button or by a ``guess``."""
         step = self._steps[self._at] if self._panel is not None else None
         if step is not None and step.guesses:
-            self._guessed(step.go)
+            self._guessed(guess or step.go)
         self.next()
 
     def next(self) -> None:
@@ -226,7 +219,7 @@ class Tour:
         if self._start is not None:
             # First to the newest step: a camera that is touched in the past begins another run.
             compared = any(map(compares, self._steps))
-            self._do((Play(), *restored(self._start, compared, self._named)))
+            self._do((Play(), *restored(self._start, compared)))
 
     def _show(self) -> None:
         step = self._steps[self._at]
@@ -251,11 +244,7 @@ class Tour:
         if step.guesses and self._panel is not None:
             with self._tab:
                 self._guesses = self._client.gui.add_button_group("Your guess", step.guesses)
-            self._guesses.on_click(heard(lambda event: self._guess(event.target.value)))
-
-    def _guess(self, guess: str) -> None:
-        self._guessed(guess)
-        self.next()
+            self._guesses.on_click(heard(lambda event: self._go(event.target.value)))
 
     def _do(self, commands: Sequence[Command]) -> None:
         send = self._send
@@ -271,7 +260,7 @@ class Tour:
         """Whether ``policy`` acts, and no other is on its way: what the tour asked for may not have
         come yet, and a visitor may have chosen another."""
         frame = self._newest()
-        shown = self._named(frame.world.policy) if isinstance(frame, Frame) else ""
+        shown = frame.world.reference if isinstance(frame, Frame) else ""
         return policy == shown == self._acting
 
     def help(self) -> None:
@@ -285,7 +274,8 @@ class Tour:
             gui.add_button("close").on_click(heard(lambda _: modal.close()))
             gui.add_markdown(HELP)
             if self._keys:
-                gui.add_markdown(keys_table(self._keys))
+                rows = [(f"**{key}**", label) for label, key, _ in self._keys]
+                gui.add_markdown(markdown_table(("key", "what it does"), rows))
             shade = gui.add_button_group(
                 "This page", ("dark", "light"), hint="Only here; other visitors choose theirs."
             )
@@ -306,8 +296,3 @@ def step_html(step: Step, number: int, count: int) -> str:
         f'<div style="font-size:15px;margin-bottom:4px"><b>{escape(step.title)}</b></div>'
         f"{escape(step.words)}</div>"
     )
-
-
-def keys_table(keys: Sequence[tuple[str, str]]) -> str:
-    """Keys and what they do, as Markdown."""
-    return markdown_table(("key", "what it does"), [(f"**{key}**", what) for key, what in keys])

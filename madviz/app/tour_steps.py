@@ -17,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.session_maker import Reference, own_name
 from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.observation.schedule import Event
@@ -63,16 +62,11 @@ class Step(NamedTuple):
     """Answers to a question in the words; each leads on, too."""
 
 
-def steps(frame: Frame, choices: Sequence[PolicyChoice], named: Reference = own_name) -> list[Step]:
+def steps(frame: Frame, choices: Sequence[PolicyChoice]) -> Iterator[Step]:
     """The tour of what ``frame`` shows, beginning with all cameras and the policy that acts now."""
-    return list(_steps(frame, choices, whole(frame, named)))
-
-
-def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) -> Iterator[Step]:
-    cameras = frame.world.env.cameras
-    label = [camera.label for camera in cameras]
-    middle = len(cameras) // 2
-    last = len(cameras) - 1
+    unbroken = whole(frame)
+    label = [camera.label for camera in frame.world.env.cameras]
+    middle = len(label) // 2
     yield Step(
         "What you see",
         f"A robot works at a task; it is done when: {frame.world.env.success}. The pictures on the "
@@ -94,18 +88,18 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) ->
     )
     yield Step(
         "Black is not dropped",
-        f"{label[last]} sends a black picture now. That is worse than no picture: the feature of a "
+        f"{label[-1]} sends a black picture now. That is worse than no picture: the feature of a "
         "black picture is added to the others. A camera that breaks is better dropped.",
-        (_camera(frame, last, kind="black"),),
+        (_camera(frame, -1, kind="black"),),
     )
-    if len(cameras) > 1:
+    if len(label) > 1:
         yield Step(
             f"Only {label[0]}",
             "Now one camera is left, the others are dropped. 'What if?' shows what it would do, at "
             "this very time step, with every other choice of cameras.",
             (
                 _camera(frame, 0),
-                *(_camera(frame, index, "off") for index in range(1, len(cameras))),
+                *(_camera(frame, index, "off") for index in range(1, len(label))),
             ),
         )
     other = never_alone(frame.world.policy.name, choices)
@@ -130,9 +124,9 @@ def _steps(frame: Frame, choices: Sequence[PolicyChoice], unbroken: Commands) ->
     )
 
 
-def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
+def comparison_steps(frame: Frame, other: str) -> list[Step]:
     """MAD, which acts in ``frame``, against the policy ``other``, trained on all cameras only."""
-    unbroken = whole(frame, named)
+    unbroken = whole(frame)
     camera = frame.world.env.cameras[0]
     dropped = (Event(GOES_AT, camera.name, dropped=True),)
     return [
@@ -179,12 +173,12 @@ def comparison_steps(frame: Frame, other: str, named: Reference = own_name) -> l
     ]
 
 
-def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
+def acts(frame: Frame, other: str) -> list[Step]:
     """``comparison_steps`` in three acts, for two policies with fitted guards."""
     camera = frame.world.env.cameras[0]
-    first = unguarded(named(frame.world.policy))
+    first = unguarded(frame.world.reference)
     black = SetSchedule((Event(GOES_AT, camera.name, occlusion=Occlusion("black")),))
-    intact = (SetPolicy(first), *whole(frame, named)[1:])
+    intact = (SetPolicy(first), *whole(frame)[1:])
     again = (SetSeed(FIRST_DEVELOPMENT), Play())
     return [
         Step(
@@ -238,10 +232,10 @@ def acts(frame: Frame, other: str, named: Reference = own_name) -> list[Step]:
     ]
 
 
-def whole(frame: Frame, named: Reference = own_name) -> Commands:
+def whole(frame: Frame) -> Commands:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
     cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
-    return (SetPolicy(named(frame.world.policy)), *cameras)
+    return (SetPolicy(frame.world.reference), *cameras)
 
 
 def never_alone(policy: str, choices: Sequence[PolicyChoice]) -> str | None:
@@ -264,12 +258,12 @@ def compares(step: Step) -> bool:
     return any(isinstance(command, Compare) for command in step.commands)
 
 
-def restored(frame: Frame, compared: bool = False, named: Reference = own_name) -> Commands:
+def restored(frame: Frame, compared: bool = False) -> Commands:
     """Commands for cameras, policy, speed and pause as in ``frame``; if something was ``compared``,
     also for the failures that come by themselves, and without B."""
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
     paused = (Pause(),) if frame.pace.phase == "paused" else ()
-    policy = SetPolicy(named(frame.world.policy))
+    policy = SetPolicy(frame.world.reference)
     speed = SetSpeed(frame.pace.speed)
     return (*alone, policy, *cameras, speed, *paused)

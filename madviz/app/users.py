@@ -96,30 +96,6 @@ class Users:
         server.on_client_connect(self.join)
         server.on_client_disconnect(self.leave)
 
-    @property
-    def sessions(self) -> int:
-        """Pages that have the controls of a simulation."""
-        with self._lock:
-            return sum(visit.owner for visit in self._visits.values())
-
-    @property
-    def watchers(self) -> int:
-        """Pages that show somebody else's simulation."""
-        with self._lock:
-            return sum(not visit.owner for visit in self._visits.values())
-
-    @property
-    def waiting(self) -> int:
-        """Browsers for which there is no place."""
-        with self._lock:
-            return len(self._queue)
-
-    def session_of(self, client_id: int) -> LiveSession | None:
-        """The session a browser shows, if it has one."""
-        with self._lock:
-            visit = self._visits.get(client_id)
-        return visit.session if visit else None
-
     def join(self, client: viser.ClientHandle) -> None:
         """Gives a browser a simulation, or somebody else's to watch, or a place to wait."""
         equip(client)

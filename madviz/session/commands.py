@@ -1,7 +1,7 @@
 """The commands of a session, all frozen, checked where they are made.
 
-A page never touches a simulation; it sends one of these, from any thread, and the simulation's own
-thread serves it, between two camera renders if it must be quick.
+A page sends them from any thread; the simulation's own thread serves them, between two camera
+renders if it must be quick.
 """
 
 from __future__ import annotations
@@ -15,8 +15,12 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 
 
+class SessionCommand:
+    """Base of all of them but ``MoveCamera``, which belongs to the observation."""
+
+
 @dataclass(frozen=True)
-class SetCamera:
+class SetCamera(SessionCommand):
     """Another switch or occlusion for one camera."""
 
     camera: str
@@ -24,14 +28,14 @@ class SetCamera:
 
 
 @dataclass(frozen=True)
-class SetPolicy:
+class SetPolicy(SessionCommand):
     """Another policy, by a name ``load_policy`` knows; camera settings stay."""
 
     name: str
 
 
 @dataclass(frozen=True)
-class SetSeed:
+class SetSeed(SessionCommand):
     """Start the episode of this seed."""
 
     seed: int
@@ -42,29 +46,29 @@ class SetSeed:
 
 
 @dataclass(frozen=True)
-class Play:
+class Play(SessionCommand):
     """Goes on with the episode at the chosen speed."""
 
 
 @dataclass(frozen=True)
-class Pause:
+class Pause(SessionCommand):
     """Stays at this time step; cameras can still be switched."""
 
 
 @dataclass(frozen=True)
-class StepOnce:
+class StepOnce(SessionCommand):
     """One decision, then pause."""
 
 
 @dataclass(frozen=True)
-class Reset:
+class Reset(SessionCommand):
     """Start again: the same seed, or the next one."""
 
     next_seed: bool = False
 
 
 @dataclass(frozen=True)
-class SetSpeed:
+class SetSpeed(SessionCommand):
     """Decisions per second; None for as fast as it goes."""
 
     rate: float | None
@@ -75,14 +79,14 @@ class SetSpeed:
 
 
 @dataclass(frozen=True)
-class SetAutoNext:
+class SetAutoNext(SessionCommand):
     """Whether the next seed starts by itself when an episode is over."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Scrub:
+class Scrub(SessionCommand):
     """Show an earlier step of this episode; None goes back to the newest one."""
 
     step: int | None
@@ -93,7 +97,7 @@ class Scrub:
 
 
 @dataclass(frozen=True)
-class Compare:
+class Compare(SessionCommand):
     """Start B beside this simulation, on the same seeds: another policy or the same one, under
     ``ablation``; linked to A if that is A's now, too. None ends it."""
 
@@ -102,26 +106,26 @@ class Compare:
 
 
 @dataclass(frozen=True)
-class Link:
+class Link(SessionCommand):
     """Whether what is done to A's cameras is done to B's, too. Once it is, they are as A's."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Fork:
+class Fork(SessionCommand):
     """Go on from the earlier step that is shown, without what came after."""
 
 
 @dataclass(frozen=True)
-class ReadSubsets:
+class ReadSubsets(SessionCommand):
     """Whether every subset is read where each costs a pass, as far as there is time for it."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Foresee:
+class Foresee(SessionCommand):
     """Imagine the decisions after the newest step, under the present cameras; what then happens is
     held against it. Without ``on``, what was imagined is forgotten."""
 
@@ -129,14 +133,14 @@ class Foresee:
 
 
 @dataclass(frozen=True)
-class SetSaliency:
+class SetSaliency(SessionCommand):
     """Which pixels to find, those that Q or those that the action hangs on; None for none."""
 
     target: Literal["q", "action"] | None
 
 
 @dataclass(frozen=True)
-class SetSchedule:
+class SetSchedule(SessionCommand):
     """Failures that come by themselves, in this episode from here on and in all that follow, until
     there is another schedule; an empty one ends them, and its cameras work again. Events whose step
     has passed wait for the next episode. A reset starts the same failures again."""
@@ -144,23 +148,4 @@ class SetSchedule:
     events: Schedule = ()
 
 
-Command = (
-    SetCamera
-    | MoveCamera
-    | SetPolicy
-    | SetSeed
-    | Play
-    | Pause
-    | StepOnce
-    | Reset
-    | SetSpeed
-    | SetAutoNext
-    | Scrub
-    | Fork
-    | Compare
-    | Link
-    | SetSchedule
-    | SetSaliency
-    | ReadSubsets
-    | Foresee
-)
+Command = SessionCommand | MoveCamera

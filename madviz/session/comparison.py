@@ -17,15 +17,39 @@ from collections.abc import Callable
 from madviz.measure.statistics import Paired, pair
 from madviz.observation.ablation import Ablation
 from madviz.observation.displacement import MoveCamera
+from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera
 from madviz.session.frame import Outcome, Pair, Side, carried, untouched
-from madviz.session.opening import open_simulation
+from madviz.session.journal import Journal
 from madviz.session.simulation import Simulation
 from madviz.session.waiting import PolicyWait
 from madviz.types import CameraSpec, Environment, Policy
 
+EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
+"""(task, render profile, cameras) -> environment, for example ``madviz.envs.registry.make_env``."""
 MOST_PAIRS = 1000
 """Pairs that stay."""
+
+
+def open_simulation(
+    env: Environment,
+    policy: Policy,
+    ablation: Ablation,
+    seed: int,
+    journal: Journal | None = None,
+    wait: PolicyWait | None = None,
+) -> Simulation:
+    """The simulation of ``policy`` in an ``env`` made for it, at the first step of ``seed``. Where
+    they do not fit or it cannot begin, the error is raised and all is closed."""
+    opened: Simulation | Environment = env
+    try:
+        check_environment(policy.spec, env.spec)
+        opened = simulation = Simulation(env, policy, ablation, journal, wait)
+        simulation.begin(seed)
+        return simulation
+    except BaseException:
+        opened.close()
+        raise
 
 
 def tally(pairs: tuple[Pair, ...], sides: tuple[Side, Side]) -> Paired:
@@ -42,7 +66,7 @@ class SecondSimulation:
 
     def __init__(
         self,
-        make_env: Callable[[str, str, tuple[CameraSpec, ...]], Environment],
+        make_env: EnvFactory,
         policy: Policy,
         ablation: Ablation,
         seed: int,

@@ -203,6 +203,10 @@ class World:
     """The report of the policy's guard on this step; None where it has none."""
     recorded: RecordedMoment | None = None
     """The recording at this step; None in a simulator."""
+    reference: str = ""
+    """The name by which the session's ``load_policy`` finds the policy; its own name does not say
+    that: a training of one's own is called like the shipped policy with the same task, method and
+    recipe. '' where no session shows it."""
 
 
 @dataclass(frozen=True)

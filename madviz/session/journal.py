@@ -120,17 +120,26 @@ class Journal:
             self._file()
             self._present = _Present(SavedPolicy.of(policy), env, seed, start)
 
-    def camera(self, step: int, command: SetCamera | MoveCamera) -> None:
-        """A camera was set or moved when ``step`` had arrived, or while it was drawn."""
+    def note(self, step: int, command: SetCamera | MoveCamera | SavedPolicy) -> None:
+        """Another policy took over at ``step``; or a camera was set or moved when it had arrived,
+        or while it was drawn."""
         with self._lock:
-            if self._present is not None:
-                self._add(self._present, SavedCommand(step, command))
-
-    def policy(self, step: int, spec: PolicySpec) -> None:
-        """Another policy took over at ``step``."""
-        with self._lock:
-            if self._present is not None:
-                self._add(self._present, SavedCommand(step, SavedPolicy.of(spec)))
+            present = self._present
+            if present is None:
+                return
+            present.broken |= len(present.commands) >= MOST_COMMANDS
+            if present.broken:
+                return
+            for index in reversed(range(len(present.commands))):
+                old = present.commands[index]
+                if isinstance(command, SavedPolicy) or isinstance(old.command, SavedPolicy):
+                    break
+                if old.step != step:
+                    break
+                if type(old.command) is type(command) and old.command.camera == command.camera:
+                    del present.commands[index]
+                    break
+            present.commands.append(SavedCommand(step, command))
 
     def decided(self, step: int, action: Array, time_step: TimeStep) -> None:
         """The decision taken at ``step``, and what the environment made of it."""
@@ -174,18 +183,3 @@ class Journal:
         saved = self._present.saved() if self._present else None
         if saved is not None:
             self._past.append(saved)
-
-    def _add(self, present: _Present, new: SavedCommand) -> None:
-        present.broken |= len(present.commands) >= MOST_COMMANDS
-        if present.broken:
-            return
-        if not isinstance(new.command, SavedPolicy):
-            for index in reversed(range(len(present.commands))):
-                old = present.commands[index]
-                if old.step != new.step or isinstance(old.command, SavedPolicy):
-                    break
-                same = type(old.command) is type(new.command)
-                if same and old.command.camera == new.command.camera:
-                    del present.commands[index]
-                    break
-        present.commands.append(new)

@@ -37,7 +37,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Self
 
 from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
@@ -70,10 +70,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-Noted = Callable[[str, PolicySpec], None]
-"""Called with a policy's reference and what it is, whenever a session has loaded one."""
-MakeSession = Callable[[Noted], Session]
-"""Makes a session that is not started yet, in the process where it shall live. Picklable."""
+MakeSession = Callable[[str | None], Session]
+"""Makes a session that is not started yet, in the process where it shall live; it begins with the
+policy of that name, if there is one, instead of its own. Picklable."""
 MOST_ENDS = 3
 """Times that a process may end within ``ENDS_WITHIN`` seconds and is started again."""
 ENDS_WITHIN = 60.0
@@ -83,43 +82,25 @@ _CONTEXT = multiprocessing.get_context("forkserver")
 
 
 class References:
-    """The names by which policies are loaded, of all that any visitor's simulation has loaded."""
+    """The names by which policies are loaded, of all that any visitor's frames have shown."""
 
     def __init__(self) -> None:
         self._names: dict[PolicySpec, str] = {}
 
     def note(self, name: str, spec: PolicySpec) -> None:
-        """``load_policy`` knows the policy ``spec`` by ``name``."""
-        self._names = {spec: name, **self._names}
-
-    def noted(self, spec: PolicySpec) -> str | None:
-        """The name that was noted for a policy; None where there is none."""
-        return self._names.get(spec)
+        """``load_policy`` knows the policy ``spec`` by ``name``; the first one stays."""
+        self._names.setdefault(spec, name)
 
     def name_of(self, spec: PolicySpec) -> str:
         """The name by which ``load_policy`` finds a policy: its own name unless noted otherwise."""
-        return self.noted(spec) or spec.name
-
-
-class Save(NamedTuple):
-    """Asks a process for what ``Session.save`` returns."""
-
-    present_only: bool
-
-
-class Beginning(NamedTuple):
-    """How a process begins, before anything of it is shown."""
-
-    policy: str | None = None
-    """The one to open; None: the one that the session was made with."""
-    commands: tuple[Command, ...] = ()
+        return self._names.get(spec, spec.name)
 
 
 class SessionProcess(LiveSession):
     """See the module. What a ``Session`` offers to a page, and may be called from any thread."""
 
     def __init__(self, make: MakeSession, references: References | None = None) -> None:
-        """``references`` learns the name of every policy that is loaded."""
+        """``references`` learns the name of every policy that is shown."""
         super().__init__()
         self._make = make
         self._references = references or References()
@@ -150,7 +131,7 @@ class SessionProcess(LiveSession):
         with self._saving:
             while not self._saved.empty():  # An answer that came too late for whoever asked.
                 self._saved.get()
-            self._outbox.put(Save(present_only))
+            self._outbox.put(present_only)
             try:
                 answer = self._saved.get(timeout=SAVING)
             except queue.Empty:
@@ -205,7 +186,7 @@ class SessionProcess(LiveSession):
         here, there = _CONTEXT.Pipe()
         self._process = process = _CONTEXT.Process(
             target=_live,
-            args=(there, self._make, self._beginning()),
+            args=(there, self._make, *self._beginning()),
             name="madviz-simulation",
             daemon=True,
         )
@@ -230,13 +211,12 @@ class SessionProcess(LiveSession):
         if self._closing.is_set():
             self._outbox.put(None)
 
-    def _beginning(self) -> Beginning:
-        """The commands that bring a new process to where the last one was."""
+    def _beginning(self) -> tuple[str | None, tuple[Command, ...]]:
+        """The policy and the commands that bring a new process to where the last one was."""
         shown = self._shown
         if shown is None:
-            return Beginning(self._chosen)
-        policy = self._chosen or self._references.noted(shown.world.policy)
-        return Beginning(policy, tuple(self._as_in(shown)))
+            return self._chosen, ()
+        return self._chosen or shown.world.reference, tuple(self._as_in(shown))
 
     def _as_in(self, shown: Frame) -> Iterator[Command]:
         """Commands for all that is as in ``shown``, but the policy and the step."""
@@ -250,7 +230,7 @@ class SessionProcess(LiveSession):
             yield MoveCamera(name, move)
         if shown.second is not None:
             b = shown.second.world
-            yield Compare(self._references.name_of(b.policy), b.ablation)
+            yield Compare(b.reference, b.ablation)
             yield Link(shown.linked)
         # The seed after the failures, which begin with it: none of them has come at its first step.
         yield from (SetSchedule(shown.schedule), SetSeed(world.seed))
@@ -260,6 +240,8 @@ class SessionProcess(LiveSession):
         """An earlier step that is shown again is not where the simulation stands."""
         stands = self._shown if frame.past else None
         self._shown = frame
+        for side in filter(None, (frame, frame.second)):
+            self._references.note(side.world.reference, side.world.policy)
         if stands is not None:
             self._shown = replace(frame, world=stands.world, second=stands.second)
 
@@ -276,8 +258,6 @@ class SessionProcess(LiveSession):
                 if isinstance(news, Frame):
                     self._note(news)
                 self._publish(news)
-            elif kind == "policy":
-                self._references.note(*what)
             elif kind == "saved":
                 self._saved.put(what)
 
@@ -292,9 +272,11 @@ def _how(code: int | None) -> str:
 # --- In the process ---------------------------------------------------------------------------
 
 
-def _live(pipe: Connection, make: MakeSession, beginning: Beginning) -> None:
+def _live(
+    pipe: Connection, make: MakeSession, policy: str | None, commands: tuple[Command, ...]
+) -> None:
     """Runs a session until the page's process says None, or is gone. Nothing of it is shown before
-    ``beginning`` has been carried out: if it ends there, the next one still begins with that."""
+    ``commands`` have been carried out: if it ends there, the next one still begins with them."""
     set_up_worker()
     limit_heaps()
 
@@ -302,7 +284,7 @@ def _live(pipe: Connection, make: MakeSession, beginning: Beginning) -> None:
         with suppress(OSError):  # The page's process is gone, and so is this one in a moment.
             pipe.send((kind, what))
 
-    session = make(lambda name, spec: say("policy", (name, spec)))
+    session = make(policy)
     encoder = FrameEncoder()
     first = iter([True])
 
@@ -311,27 +293,20 @@ def _live(pipe: Connection, make: MakeSession, beginning: Beginning) -> None:
         if next(first, False):
             release_memory()  # What it took to get here: 30 MB of meshes and XML.
 
-    def other(asked: object) -> None:
-        if isinstance(asked, Save):
-            say("saved", _saved(session, asked))
-        else:
+    def other(present_only: bool | None) -> None:
+        if present_only is None:
             session.close()
+            return
+        try:
+            say("saved", session.save(present_only))
+        except UserError as error:
+            say("saved", str(error))
 
-    if beginning.policy is not None:
-        session.open_with(beginning.policy)
-    if beginning.commands:
-        for command in beginning.commands:
-            session.send(command)
+    for command in commands:
+        session.send(command)
+    if commands:
         session.tick(time.monotonic())
     session.subscribe(send)
     session.inbox = PipeInbox(session.inbox, pipe, other)
     session.run()
     os._exit(0)  # Python's own end would wait for threads, and libraries tidy up for a second.
-
-
-def _saved(session: Session, asked: Save) -> SavedSession | str:
-    """Or why it cannot be had."""
-    try:
-        return session.save(asked.present_only)
-    except UserError as error:
-        return str(error)

@@ -13,7 +13,7 @@ bit, so there the switches are replayed, and how the episode ended is compared.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict
@@ -39,6 +39,8 @@ from madviz.session.simulation import Simulation
 from madviz.system.numbers import Count
 from madviz.types import Environment, Policy
 
+OTHERWISE = "another machine, or a file that was changed"
+"""The reason where nothing is known to be different."""
 EnvFactory = Callable[..., Environment]
 Finder = Callable[[SavedPolicy], Policy]
 """The policy that is meant; any of that name, where the digest is another."""
@@ -132,7 +134,14 @@ def replay_episode(
 ) -> SavedEpisode:
     """The episode as it comes out here. Raises UserError where it cannot: another horizon, a task,
     camera or policy that is not here, a policy that cannot act on what is left."""
-    with closing(_simulation_for(episode, find, env_factory)) as simulation, one_thread():
+    first = find(episode.policy)
+    with ExitStack() as stack:
+        env = env_factory(episode.task, episode.render_profile, episode.cameras)
+        stack.callback(env.close)
+        check_episode(episode, find, env)
+        simulation = Simulation(env, first, episode.ablation)
+        stack.callback(simulation.leave)
+        stack.enter_context(one_thread())
         simulation.begin(episode.seed)
         commands = list(episode.commands)
         for step in range(episode.steps + 1):
@@ -147,19 +156,6 @@ def replay_episode(
             if step < episode.steps:
                 simulation.step(lambda: None)
     return simulation.journal.saved().episodes[-1]
-
-
-def _simulation_for(episode: SavedEpisode, find: Finder, env_factory: EnvFactory) -> Simulation:
-    """The simulation that the episode is replayed in, not begun. Raises UserError, with the
-    environment closed, where the episode cannot be replayed here."""
-    first = find(episode.policy)
-    env = env_factory(episode.task, episode.render_profile, episode.cameras)
-    try:
-        check_episode(episode, find, env)
-        return Simulation(env, first, episode.ablation)
-    except BaseException:
-        env.close()
-        raise
 
 
 def check_episode(episode: SavedEpisode, find: Finder, env: Environment) -> None:
@@ -210,7 +206,7 @@ def replay_row(
         },
         "same": same,
         "first_difference": first_difference(episode.trace, again.trace) if bits else None,
-        "reasons": [] if same else _reasons(episode, saved, find),
+        "reasons": [] if same else differences(episode, saved, find) or [OTHERWISE],
     }
 
 
@@ -228,11 +224,6 @@ def first_difference(one: str, other: str) -> int | None:
         if one[start : start + TRACE] != other[start : start + TRACE]:
             return start // TRACE + 1
     return None
-
-
-def _reasons(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[str]:
-    known = differences(episode, saved, find)
-    return known or ["another machine, or a file that was changed"]
 
 
 def differences(episode: SavedEpisode, saved: SavedSession, find: Finder) -> list[str]:

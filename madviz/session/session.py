@@ -44,12 +44,13 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
+from madviz.session.comparison import EnvFactory
 from madviz.session.frame import Frame, NoFrame, Phase, SessionPace
 from madviz.session.inbox import Inbox
 from madviz.session.live_session import MOST_WAITING, TOO_MANY, LiveSession
 from madviz.session.pace import HOLD_TO_READ, StepClock
 from madviz.session.session_file import SavedEpisode, SavedSession
-from madviz.session.stage import EnvFactory, Stage
+from madviz.session.stage import Stage
 from madviz.session.waiting import ATTENDED_AFTER, LOOKS_EVERY, promised
 from madviz.system.priority import lower_thread_priority
 from madviz.types import Policy
@@ -105,11 +106,6 @@ class Session(LiveSession):
 
     def save(self, present_only: bool = False) -> SavedSession:
         return self._stage.journal.saved(present_only)
-
-    def open_with(self, policy: str) -> None:
-        """Another policy to begin with, by a name ``load_policy`` knows; before the session runs.
-        Unlike after ``SetPolicy``, the one that it was made with is never loaded."""
-        self._stage.policy = policy
 
     def start(self) -> Self:
         """Runs ``run`` in a thread of its own."""
@@ -271,33 +267,22 @@ class Session(LiveSession):
         self._collect()
         for command in [one for one in self._backlog if isinstance(one, SetCamera)]:
             self._backlog.remove(command)
-            self._guarded(lambda command=command: self._set_camera(command, preview=True))
+            self._guarded(lambda command=command: self._touch(command, preview=True))
 
-    def _is_last(self, command: SetCamera | MoveCamera) -> bool:
-        """Whether no command of its kind waits for the same camera."""
+    def _touch(self, command: SetCamera | MoveCamera, preview: bool = False) -> None:
+        """Only the last of several states or moves of one camera: each may be a question to the
+        policy or a picture to draw, and a slider that is dragged sends more of them than some
+        simulators can draw."""
         later = (one for one in self._backlog if isinstance(one, type(command)))
-        return all(one.camera != command.camera for one in later)
-
-    def _set_camera(self, command: SetCamera, preview: bool = False) -> None:
-        """Only the last of several states of one camera: each may be a question to the policy."""
-        if self._stage.is_open and self._is_last(command):
-            self._stage.set_camera(command, preview)
+        last = all(one.camera != command.camera for one in later)
+        if self._stage.is_open and last:
+            self._stage.touch(command, preview)
             self._emit(keep=not preview)
-
-    def _move_camera(self, command: MoveCamera) -> None:
-        """Only the last of several moves of one camera: each is a picture to draw, and a slider
-        that is dragged sends more of them than some simulators can draw."""
-        if self._stage.is_open and self._is_last(command):
-            self._stage.move_camera(command)
-            self._emit()
 
     def _carry_out(self, command: Command, now: float) -> None:
         match command:
-            case SetCamera():
-                self._set_camera(command)
-                return
-            case MoveCamera():
-                self._move_camera(command)
+            case SetCamera() | MoveCamera():
+                self._touch(command)
                 return
             case SetPolicy(name):
                 self._swap(name, now)

@@ -35,6 +35,7 @@ from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Outcome, World, carried, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
+from madviz.session.session_file import SavedPolicy
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.session.waiting import PolicyWait
 from madviz.subsets import every_mask, row_of
@@ -221,7 +222,7 @@ class Simulation:
             self._note_change(command.camera, before, command.state, reading)
         if not preview:
             self._settled = self.ablation
-        self.journal.camera(self.now.step + preview, command)
+        self.journal.note(self.now.step + preview, command)
 
     def move_camera(self, command: MoveCamera) -> None:
         """One camera elsewhere, seen at once: the newest picture is drawn anew, earlier ones of the
@@ -246,7 +247,7 @@ class Simulation:
         to = self.ablation.moves.get(name)
         moved = f"moved: {to.words()}" if to else "is back in its place"
         self._note_change(name, before, self._state_in(before, name), reading, moved)
-        self.journal.camera(self.now.step, command)
+        self.journal.note(self.now.step, command)
 
     def _note_change(
         self, camera: str, before: Ablation, state: CameraState, reading: Reading, moved: str = ""
@@ -283,7 +284,7 @@ class Simulation:
             self._push(data)
         self._read()
         self.change = None
-        self.journal.policy(self.now.step, policy.spec)
+        self.journal.note(self.now.step, SavedPolicy.of(policy.spec))
 
     def snapshot(self) -> Snapshot:
         """The present step, for ``return_to``."""

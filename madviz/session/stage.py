@@ -26,10 +26,14 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
 from madviz.session.commands import SetCamera, SetPolicy
-from madviz.session.comparison import MOST_PAIRS, SecondSimulation
-from madviz.session.frame import Frame, Pair, SessionPace, carried
+from madviz.session.comparison import (
+    MOST_PAIRS,
+    EnvFactory,
+    SecondSimulation,
+    open_simulation,
+)
+from madviz.session.frame import Frame, Pair, SessionPace, World, carried
 from madviz.session.journal import Journal
-from madviz.session.opening import open_simulation
 from madviz.session.retrace import Retrace
 from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
@@ -37,10 +41,7 @@ from madviz.session.simulation import Simulation
 from madviz.session.snapshot import Snapshot
 from madviz.session.timeline import Timeline
 from madviz.session.waiting import PolicyWait
-from madviz.types import CameraSpec, Environment, EnvSpec, Policy, PolicySpec
-
-EnvFactory = Callable[[str, str, tuple[CameraSpec, ...]], Environment]
-"""(task, render profile, cameras) -> environment, for example ``madviz.envs.registry.make_env``."""
+from madviz.types import EnvSpec, Policy, PolicySpec
 
 
 class Stage:
@@ -57,6 +58,8 @@ class Stage:
         """``policy``: one that is there, or a name that ``load_policy`` knows, for ``open``."""
         self._make_env = make_env
         self._load = load_policy
+        self._references: dict[PolicySpec, str] = {}
+        """The names by which policies were loaded, each by its first one."""
         self.policy = policy
         self.seed = seed
         """Who acts in which episode; before ``open``, who shall."""
@@ -169,22 +172,18 @@ class Stage:
             if pair is not None:
                 self._pairs.append(pair)
 
-    def set_camera(self, command: SetCamera, preview: bool = False) -> None:
-        """Another state for a camera; in the past, another future begins with it."""
+    def touch(self, command: SetCamera | MoveCamera, preview: bool = False) -> None:
+        """Another state or place for a camera; in the past, another future begins with it."""
         if self._timeline.shown is not None:
             self.fork()
-        self._live.set_camera(command, preview)
+        if isinstance(command, MoveCamera):
+            for retrace in self._retraces:  # The picture is drawn anew.
+                retrace.leave()
+            self._live.move_camera(command)
+        else:
+            self._live.set_camera(command, preview)
         if not preview:  # In the middle of a step B waits for its end, which is where A's begins.
             self._sync_b()
-
-    def move_camera(self, command: MoveCamera) -> None:
-        """A camera elsewhere; in the past, another future begins with it."""
-        if self._timeline.shown is not None:
-            self.fork()
-        for retrace in self._retraces:  # The picture is drawn anew.
-            retrace.leave()
-        self._live.move_camera(command)
-        self._sync_b()
 
     def swap(self, name: str) -> bool:
         """Another policy; in the same episode where it belongs to the same task and render profile,
@@ -336,9 +335,9 @@ class Stage:
         paths = [retrace.paths for retrace in self._retraces] or [None, None]
         b = self._second
         frame = Frame(
-            live.world(),
+            self._world(live),
             pace,
-            second=Frame(b.simulation.world(), pace, paths=paths[1]) if b else None,
+            second=Frame(self._world(b.simulation), pace, paths=paths[1]) if b else None,
             linked=self._linked,
             pairs=tuple(self._pairs),
             schedule=self._plan.schedule,
@@ -353,7 +352,14 @@ class Stage:
     def _loaded(self, name: str) -> Policy:
         if self._load is None:
             raise UserError("this session has no other policies to load")
-        return self._load(name)
+        policy = self._load(name)
+        self._references.setdefault(policy.spec, name)
+        return policy
+
+    def _world(self, side: Simulation) -> World:
+        world = side.world()
+        policy = world.policy
+        return replace(world, reference=self._references.get(policy, policy.name))
 
     def _run_plan(self) -> None:
         """Carries out what comes by itself at the step that has arrived."""

@@ -1,8 +1,8 @@
 """Frames from one process to another, each object that both have already sent once.
 
-The problem: a frame of three 84-pixel cameras holds 0.29 MB that are new, and much that is not: the
-meshes of the scene (0.19 MB for hammer), the environment's and the policy's facts, a point of the
-timeline for every step so far. And a page finds out by identity whether the scene or the last
+The problem: a frame holds pictures, which are new, and much that is not: the meshes of the scene
+(0.19 MB for hammer), the environment's and the policy's facts, a point of the timeline for every
+step so far. And a page finds out by identity whether the scene or the last
 change is another one, so a copy is not enough: what is the same object here must be it there.
 
 The idea: both ends keep a table of the objects that the last frame used. A frame names those by

@@ -34,8 +34,9 @@ from madviz.errors import UserError
 from madviz.observation.ablation import KINDS, CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
+from madviz.session.comparison import EnvFactory
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.session import EnvFactory, Session
+from madviz.session.session import Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
 from madviz.types import CameraSpec, Environment, Policy

@@ -10,7 +10,7 @@ const layOut = marker => {
   const container = marker.parentElement.parentElement;
   label(container, 'mvGrid', marker.dataset.name);
   container.style.setProperty('--mv-columns', marker.dataset.columns);
-  for (const {id, column, span, label: width} of JSON.parse(marker.dataset.cells)) {
+  for (const {handle: id, column, span, label: width} of JSON.parse(marker.dataset.cells)) {
     let box = document.getElementById(id) ?? document.querySelector(`label[for="${id}"]`);
     while (box && box.parentElement !== container) box = box.parentElement;
     if (!box) continue;

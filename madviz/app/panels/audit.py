@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import viser
 
 from madviz.app.live_audit import AuditStatus, LiveAudit
 from madviz.app.markup import dot, progress_bar
-from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
+from madviz.app.panel import Assign, Newest
+from madviz.app.toolkit import Cell, HtmlPanel, on_use, place
 from madviz.drawing.colours import GOOD, NOTE, camera_colours
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, AuditRow
 from madviz.measure.audit.sentences import in_words, plan_words
 from madviz.measure.audit.verdict import VERDICTS
 from madviz.observation.condition import Condition
-from madviz.session.frame import Frame, NoFrame
+from madviz.session.frame import Frame
 
 EPISODES = ("20", "50", "100")
 """Episodes of each condition; as many as workers play at most."""
@@ -44,11 +43,7 @@ class AuditPanel(HtmlPanel):
     """An audit goes on while the episode stands still."""
 
     def __init__(
-        self,
-        gui: viser.GuiApi,
-        newest: Callable[[], Frame | NoFrame | None] | None,
-        frame: Frame,
-        audit: LiveAudit,
+        self, gui: viser.GuiApi, newest: Newest | None, frame: Frame, audit: LiveAudit
     ) -> None:
         self._audit = audit
         self._newest = newest
@@ -59,8 +54,8 @@ class AuditPanel(HtmlPanel):
             )
             start = gui.add_button("start audit", hint=HINTS["start"])
             stop = gui.add_button("stop audit", hint=HINTS["stop"])
-            on_press(start, lambda: self._start(int(episodes.value)))
-            on_press(stop, audit.stop)
+            on_use(start, lambda *_: self._start(int(episodes.value)))
+            on_use(stop, lambda *_: audit.stop())
             cells = [Cell(episodes, 1, 4, "5em"), Cell(start, 5, 4), Cell(stop, 9, 4)]
             self.handles = place(gui, "audit", 12, cells)
         super().__init__(

@@ -6,17 +6,15 @@ stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Send
 from madviz.app.panels.move import MovePanel
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, SyncedInput, WidgetPanel, on_use, place
 from madviz.observation.ablation import KINDS, PLACE, CameraState, Occlusion
-from madviz.session.commands import Command, SetCamera
+from madviz.session.commands import SetCamera
 from madviz.session.frame import Frame, untouched
 
 GIVES = {"rgb": "RGB", "depth": "depth", "both": "both"}
@@ -40,12 +38,11 @@ class BreakPanel(WidgetPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None],
+        send: Send,
         frame: Frame,
         scene: viser.SceneApi | None = None,
-        named: Reference = own_name,
     ) -> None:
-        """``scene`` and ``named`` as in ``MovePanel``."""
+        """``scene`` as in ``MovePanel``."""
         self._send = send
         self._frame = frame
         self.camera = ""
@@ -60,13 +57,13 @@ class BreakPanel(WidgetPanel):
             self._gives = Choice(gui, "Gives", GIVES, self._give, HINTS["gives"])
             self._gives.handle.visible = simulated
             close = gui.add_button("close", color="gray", hint=HINTS["close"])
-            on_press(close, lambda: self.show(self.turn(self.camera)))
+            on_use(close, lambda *_: self.show(self.turn(self.camera)))
             sliders = [self._add_slider(gui, field) for field in SLIDERS]
             cells = [Cell(self._sends.handle, 1, 4, "above"), Cell(self._gives.handle, 1, 3)]
             cells += [Cell(close, 4), *(Cell(one, 1 + 2 * (i % 2), 2) for i, one in sliders)]
             place(gui, "breaks", 4, cells)
             with gui.add_folder("Where it stands", visible=simulated):  # A container has one grid.
-                self.move = MovePanel(gui, send, frame, scene if simulated else None, named)
+                self.move = MovePanel(gui, send, frame, scene if simulated else None)
         self.move.again = lambda: self.again()  # It is brought up to date with this panel.
         self.handles = [self._folder]
 
@@ -76,7 +73,7 @@ class BreakPanel(WidgetPanel):
         value = getattr(Occlusion(), field)
         hint = HINTS[field]
         slider = gui.add_slider(field, 0.0, 1.0, 0.01, value, marks=(), visible=False, hint=hint)
-        on_value(slider, lambda _, value: self._drag(field, value))
+        on_use(slider, lambda _, value: self._drag(field, value))
         self._sliders[field] = SyncedInput(slider)
         return (len(self._sliders) + 1) % 2, slider
 

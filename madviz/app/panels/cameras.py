@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from html import escape
+from typing import Any
 
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Send
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.patch import HINT, attributes, field_style, parse_box, patched
 from madviz.app.panels.policy import policy_words, verdict
 from madviz.app.screen import Screen
-from madviz.app.toolkit import Cell, Choice, WidgetPanel, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, WidgetPanel, on_use, place
 from madviz.drawing.mosaic import GAP, Dropped, mosaic
 from madviz.observation.displacement import MoveCamera
 from madviz.session.camera_names import MODALITY_WORDS
@@ -81,12 +81,7 @@ class CamerasPanel(WidgetPanel):
     the switches act on. ``send`` None: read-only."""
 
     def __init__(
-        self,
-        gui: viser.GuiApi,
-        send: Callable[[SetCamera | MoveCamera | Link | Compare], None] | None,
-        frame: Frame,
-        width: int,
-        paired: int = 150,
+        self, gui: viser.GuiApi, send: Send | None, frame: Frame, width: int, paired: int = 150
     ) -> None:
         """``width`` in pixels of the picture; tiles share it. ``paired``: pixels of a tile where
         there are two mosaics."""
@@ -111,13 +106,27 @@ class CamerasPanel(WidgetPanel):
             gui, "Dropped cameras show", DROPPED, self._choose_dropped, HINTS["dropped"]
         )
         self._drop.handle.visible = False
-        self._link = LinkControls(gui, send) if send is not None else None
+        self._link: Choice | None = None
+        self._linking: list[Any] = []
+        """Shown while A and B are compared: ``_link``, and the way back to one policy."""
         if send is not None:
+            self._link = Choice(
+                gui,
+                "Switches act on",
+                {"both": "A and B", "a": "A only"},
+                lambda _, value: send(Link(value == "both")),
+                HINTS["link"],
+            )
+            end = gui.add_button("end comparison", color="gray", hint=HINTS["end"])
+            on_use(end, lambda *_: send(Compare(None)))
+            self._linking = [self._link.handle, end]
+            for handle in self._linking:
+                handle.visible = False
             for camera in frame.world.env.cameras:
                 press = partial(self._switch, camera.name)
                 self._switches.append(Choice(gui, camera.label, SWITCH, press, HINTS["switch"]))
         if self._field is not None:
-            on_value(self._field, lambda _, text: self._draw(text))
+            on_use(self._field, lambda _, text: self._draw(text))
         screens = [one.screen for one in self._mosaics]
         self._note = gui.add_html("")
         grid = place(gui, "cameras", len(self._names), self._cells())
@@ -159,7 +168,7 @@ class CamerasPanel(WidgetPanel):
         marks += self._drop.style(self._dropped)
         marks += field_style(self._field) if self._field else ""
         if self._link is not None:
-            marks += self._link.choice.style("both" if frame.linked else "a")
+            marks += self._link.style("both" if frame.linked else "a")
         return Assign(self._style, "content", f"<style>{marks}</style>")
 
     def _draw(self, text: str) -> None:
@@ -174,9 +183,9 @@ class CamerasPanel(WidgetPanel):
     def _cells(self) -> list[Cell]:
         cells = [Cell(self._field, 1)] if self._field else []
         count = len(self._names)
-        if self._link is not None:
-            cells.append(Cell(self._link.choice.handle, 1, max(count - 1, 1), "8em"))
-            cells.append(Cell(self._link.end, count))
+        if self._linking:
+            cells.append(Cell(self._linking[0], 1, max(count - 1, 1), "8em"))
+            cells.append(Cell(self._linking[1], count))
         cells.append(Cell(self._drop.handle, 1, max(count, 1), "11em"))
         for index, switch in enumerate(self._switches):
             cells.append(Cell(switch.handle, index + 1, label="none"))
@@ -190,34 +199,12 @@ class CamerasPanel(WidgetPanel):
         # The choice is there where a policy draws what a dropped camera would see.
         drawn = bool(frame.world.imagined or (frame.second and frame.second.world.imagined))
         changes += [*self._pictures(frame), Assign(self._drop.handle, "visible", drawn)]
-        if self._link is not None:
-            changes += self._link.show(paired)
+        changes += [Assign(handle, "visible", paired) for handle in self._linking]
         changes.append(self._marks(frame))
         hinted = self._field is not None and not paired
         hint = f'<div class="mv"><span class="dim">{HINT}</span></div>' if hinted else ""
         changes.append(Assign(self._note, "content", unused_note(frame) or hint))
         return changes
-
-
-class LinkControls:
-    """The choice of what the switches act on while A and B are compared, and the way back to one
-    policy."""
-
-    def __init__(self, gui: viser.GuiApi, send: Callable[[Link | Compare], None]) -> None:
-        self.choice = Choice(
-            gui,
-            "Switches act on",
-            {"both": "A and B", "a": "A only"},
-            lambda _, value: send(Link(value == "both")),
-            HINTS["link"],
-        )
-        self.end = gui.add_button("end comparison", color="gray", hint=HINTS["end"], visible=False)
-        self.choice.handle.visible = False
-        on_press(self.end, lambda: send(Compare(None)))
-
-    def show(self, on: bool) -> list[Assign]:
-        """Whether they are to be seen."""
-        return [Assign(handle, "visible", on) for handle in (self.choice.handle, self.end)]
 
 
 def switched(frame: Frame, name: str) -> str:

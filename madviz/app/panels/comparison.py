@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import viser
 
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Send
 from madviz.app.panels.policy import PolicyChoice, PolicyPicker, offered
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
+from madviz.app.toolkit import Cell, HtmlPanel, on_use, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.measure.statistics import Paired
-from madviz.session.commands import Command, Compare
+from madviz.session.commands import Compare
 from madviz.session.comparison import tally
 from madviz.session.frame import Frame
 
@@ -38,30 +37,27 @@ class ComparisonPanel(HtmlPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None] | None,
+        send: Send | None,
         frame: Frame,
         choices: Sequence[PolicyChoice],
-        named: Reference = own_name,
     ) -> None:
         self._frame = frame
         self._picker: PolicyPicker | None = None
         names = offered(choices, frame.world.env.task)
         if send is not None and names:
-            self._picker = PolicyPicker(gui, "B", names, named, frame, HINTS["policy"])
+            self._picker = PolicyPicker(gui, "B", names, frame, HINTS["policy"])
             self._add_controls(gui, send, self._picker)
         super().__init__(gui, frame, comparison_html)
 
-    def _add_controls(
-        self, gui: viser.GuiApi, send: Callable[[Command], None], picker: PolicyPicker
-    ) -> None:
+    def _add_controls(self, gui: viser.GuiApi, send: Send, picker: PolicyPicker) -> None:
         start = gui.add_button("start B", hint=HINTS["start"])
         stop = gui.add_button("end B", hint=HINTS["stop"])
 
-        def begin() -> None:
+        def begin(*_: object) -> None:
             send(Compare(picker.names[picker.handle.value], self._frame.world.ablation))
 
-        for button, work in ((start, begin), (stop, lambda: send(Compare(None)))):
-            on_press(button, work)
+        on_use(start, begin)
+        on_use(stop, lambda *_: send(Compare(None)))
         cells = [Cell(picker.handle, 1, 6, "1.2em"), Cell(start, 7, 2), Cell(stop, 9, 2)]
         self.handles = place(gui, "versus", 10, cells)
 

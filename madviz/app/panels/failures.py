@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import viser
 
-from madviz.app.toolkit import Cell, HtmlPanel, on_press, place
+from madviz.app.panel import Send
+from madviz.app.toolkit import Cell, HtmlPanel, on_use, place
 from madviz.drawing.colours import NOTE
 from madviz.observation.grammar import HOW
 from madviz.observation.schedule import (
@@ -17,7 +17,7 @@ from madviz.observation.schedule import (
     scenario,
     schedule_words,
 )
-from madviz.session.commands import Command, Play, Reset, SetSchedule
+from madviz.session.commands import Play, Reset, SetSchedule
 from madviz.session.frame import Frame
 
 OWN = "my own"
@@ -32,9 +32,7 @@ HINTS = {
 class FailuresPanel(HtmlPanel):
     """A dropdown of scenarios, a line for one's own, and what is to come."""
 
-    def __init__(
-        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send | None, frame: Frame) -> None:
         """``send`` None: read-only."""
         self._send = send
         self._env = frame.world.env
@@ -48,8 +46,8 @@ class FailuresPanel(HtmlPanel):
         self._own = gui.add_text("My own", f"{self._env.cameras[0].name}@10-20", hint=HINTS["own"])
         run = gui.add_button("run scenario", hint=HINTS["run"])
         end = gui.add_button("end it", hint=HINTS["end"])
-        on_press(run, self.run)
-        on_press(end, self.end)
+        on_use(run, lambda *_: self.run())
+        on_use(end, lambda *_: self.end())
         cells = [Cell(self._choice, 1, 2), Cell(self._own, 1, 2), Cell(run, 1), Cell(end, 2)]
         self.handles = place(gui, "failures", 2, cells)
 

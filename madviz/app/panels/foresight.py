@@ -7,7 +7,7 @@ that was got. Nothing of it is there with a policy that has no world model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
@@ -17,12 +17,12 @@ import viser
 
 from madviz.analysis.foresight import DECISIONS, Foresight, mean_psnr
 from madviz.app.chart import Lane, chart
-from madviz.app.panel import Assign
-from madviz.app.toolkit import HtmlPanel, on_press
+from madviz.app.panel import Assign, Send
+from madviz.app.toolkit import HtmlPanel, on_use
 from madviz.drawing.colours import INK, MUTED, NOTE
 from madviz.drawing.jpeg import jpeg_url
 from madviz.session.camera_names import stream_label
-from madviz.session.commands import Command, Foresee
+from madviz.session.commands import Foresee
 from madviz.session.frame import Frame
 from madviz.types import Array
 
@@ -42,16 +42,14 @@ _GROUND = 30
 class ForesightPanel(HtmlPanel):
     """A button and what came of it. ``send`` None: read-only."""
 
-    def __init__(
-        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send | None, frame: Frame) -> None:
         self._of: Foresight | None = None
         self._drawn = ""
         self._button: Any = None
         if send is not None:
             self._button = gui.add_button(f"imagine {DECISIONS} decisions", hint=HINT)
             self._button.visible = frame.world.foresees
-            on_press(self._button, lambda: send(Foresee()))
+            on_use(self._button, lambda *_: send(Foresee()))
             self.handles = [self._button]
         super().__init__(gui, frame, self._content)
 

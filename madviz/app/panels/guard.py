@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import viser
 
-from madviz.app.panel import Assign
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import SyncedInput, WidgetPanel, on_value
+from madviz.app.panel import Assign, Send
+from madviz.app.toolkit import SyncedInput, WidgetPanel, on_use
 from madviz.policies.checkpoint import has_guard, is_folder, shown
 from madviz.policies.guarded import fit_command, unguarded, with_guard
 from madviz.policies.no_policy import NO_POLICY
@@ -25,14 +23,7 @@ HINT = (
 class GuardPanel(WidgetPanel):
     """See the module. ``send`` None: read-only."""
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        send: Callable[[SetPolicy | Compare | Link], None] | None,
-        frame: Frame,
-        named: Reference = own_name,
-    ) -> None:
-        self._named = named
+    def __init__(self, gui: viser.GuiApi, send: Send | None, frame: Frame) -> None:
         self._frame = frame
         self._judged = ("", False)
         """The policy that was looked up last, and whether its guard is fitted."""
@@ -41,11 +32,11 @@ class GuardPanel(WidgetPanel):
         self._shown = SyncedInput(self._switch)
         self._note = gui.add_html("")
         self.handles = [self._switch, self._note]
-        on_value(self._switch, lambda _, on: self._set(bool(on)))
+        on_use(self._switch, lambda _, on: self._set(bool(on)))
 
     def update(self, frame: Frame) -> list[Assign]:
         self._frame = frame
-        policy = unguarded(self._named(frame.world.policy))
+        policy = unguarded(frame.world.reference)
         if policy != self._judged[0]:
             self._judged = (policy, has_guard(policy))
         fitted = self._judged[1]
@@ -73,7 +64,7 @@ class GuardPanel(WidgetPanel):
             self._send(Link(True))
 
     def _reference(self, frame: Frame, on: bool) -> str:
-        policy = unguarded(self._named(frame.world.policy))
+        policy = unguarded(frame.world.reference)
         return with_guard(policy, on and has_guard(policy))
 
 

@@ -7,22 +7,18 @@ how far every camera is from its place, and what that means for the success rate
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from html import escape
 
 import viser
 
 from madviz.app.markup import dot
-from madviz.app.panel import Assign, apply
+from madviz.app.panel import Assign, Send, apply
 from madviz.app.scene.gizmo import Gizmo
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_press, on_value, place
+from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_use, place
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.drawing.viewpoint import extent
 from madviz.observation.displacement import LARGEST, MOST_ZOOM, Displacement, MoveCamera
-from madviz.session.commands import Command
 from madviz.session.frame import Frame
 
 HINTS = {
@@ -51,15 +47,13 @@ class MovePanel(HtmlPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None],
+        send: Send,
         frame: Frame,
         scene: viser.SceneApi | None = None,
-        named: Reference = own_name,
     ) -> None:
         """``scene``: where arrows to drag can be shown."""
         self._send = send
         self._frame = frame
-        self._named = named
         self._gizmo: Gizmo | None = None
         if scene is not None:
             self._gizmo = Gizmo(scene, frame, extent(frame), self._ask)
@@ -69,18 +63,18 @@ class MovePanel(HtmlPanel):
         self._sliders: dict[str, viser.GuiSliderHandle] = {}
         self._shown: dict[str, SyncedInput] = {}
         self._add_controls(gui)
-        super().__init__(gui, frame, partial(move_html, named=named))
+        super().__init__(gui, frame, move_html)
 
     def _add_controls(self, gui: viser.GuiApi) -> None:
         back = gui.add_button("back", hint=HINTS["back"])
         home = gui.add_button("all back", hint=HINTS["all"])
-        on_press(back, lambda: self._reset([self._camera]))
-        on_press(home, lambda: self._reset(self._names))
+        on_use(back, lambda *_: self._reset([self._camera]))
+        on_use(home, lambda *_: self._reset(self._names))
         cells = []
         for field, (low, high, step) in RANGES.items():
             value = getattr(self._move, field)
             slider = gui.add_slider(field, low, high, step, value, marks=(), hint=HINTS[field])
-            on_value(slider, lambda _, value, field=field: self._drag(field, value))
+            on_use(slider, lambda _, value, field=field: self._drag(field, value))
             self._sliders[field], self._shown[field] = slider, SyncedInput(slider)
         cells += [
             Cell(slider, 1 + 6 * (index % 2), 6)
@@ -88,7 +82,7 @@ class MovePanel(HtmlPanel):
         ]
         if self._gizmo is not None:
             arrows = gui.add_checkbox("arrows", False, hint=HINTS["arrows"])
-            on_value(arrows, lambda _, on: self._show_arrows(bool(on)))
+            on_use(arrows, lambda _, on: self._show_arrows(bool(on)))
             cells.append(Cell(arrows, 1, 4))
         cells += [Cell(back, 5, 4), Cell(home, 9, 4)]
         self.handles = place(gui, "move", 12, cells)
@@ -153,7 +147,7 @@ class MovePanel(HtmlPanel):
             self._gizmo.remove()
 
 
-def move_html(frame: Frame, named: Reference = own_name) -> str:
+def move_html(frame: Frame) -> str:
     """Where cameras are, and what becomes of the success rates."""
     if not frame.world.ablation.moves:
         return (
@@ -172,7 +166,7 @@ def move_html(frame: Frame, named: Reference = own_name) -> str:
         f'<div class="mv mv-moved" style="border-left:3px solid {NOTE};margin:0 10px;'
         f'padding:2px 8px">{rows}<div class="dim">A condition of its own: its success is that of '
         "whole episodes with the cameras there. Success against distance: "
-        f"<code>{escape(sweep(frame, named(frame.world.policy)))}</code></div></div>"
+        f"<code>{escape(sweep(frame, frame.world.reference))}</code></div></div>"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -11,10 +11,9 @@ import viser
 
 from madviz.agent.methods import METHODS, label_of
 from madviz.app.markup import error_html, progress_bar
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Send
 from madviz.app.panels.subsets import action_bars
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_press, on_value, place
+from madviz.app.toolkit import Cell, Choice, HtmlPanel, SyncedInput, on_use, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.policies.checkpoint import shown
 from madviz.policies.guarded import unguarded
@@ -72,22 +71,20 @@ class PolicyPicker:
         gui: viser.GuiApi,
         label: str,
         names: dict[str, str],
-        named: Reference,
         frame: Frame,
         hint: str,
     ) -> None:
         """``names`` by what they are called, as from ``offered``; it begins with the policy of
         ``frame``, or with the first where that one is not among them."""
         self.names = names
-        self._named = named
         self._labels = {name: label for label, name in names.items()}
-        current = self._labels.get(unguarded(named(frame.world.policy)), next(iter(names)))
+        current = self._labels.get(unguarded(frame.world.reference), next(iter(names)))
         self.handle = gui.add_dropdown(label, list(names), initial_value=current, hint=hint)
         self._shown = SyncedInput(self.handle)
 
     def show(self, frame: Frame, force: bool = False) -> list[Assign]:
         """The change by which it names the policy of ``frame``; ``force`` as in ``SyncedInput``."""
-        name = unguarded(self._named(frame.world.policy))
+        name = unguarded(frame.world.reference)
         return self._shown.show(self._labels.get(name) or shown(name), force)
 
 
@@ -97,14 +94,13 @@ class PolicyPanel(HtmlPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None] | None,
+        send: Send | None,
         frame: Frame,
         choices: Sequence[PolicyChoice],
-        named: Reference = own_name,
     ) -> None:
         task = frame.world.env.task
         names = offered(choices, task)
-        current = unguarded(named(frame.world.policy))
+        current = unguarded(frame.world.reference)
         if current not in names.values():
             names = {shown(current): current, **names}
         self._tasks: dict[str, str] = {}
@@ -114,18 +110,13 @@ class PolicyPanel(HtmlPanel):
         self._run: Choice | None = None
         self._speed: Choice | None = None
         if send is not None:
-            self._add_controls(gui, send, frame, names, named)
+            self._add_controls(gui, send, frame, names)
         self._style = gui.add_html("")
         self.handles = [*self.handles, self._style]
         super().__init__(gui, frame, status_html)
 
     def _add_controls(
-        self,
-        gui: viser.GuiApi,
-        send: Callable[[Command], None],
-        frame: Frame,
-        names: dict[str, str],
-        named: Reference,
+        self, gui: viser.GuiApi, send: Send, frame: Frame, names: dict[str, str]
     ) -> None:
         tasks = list({frame.world.env.task: "", **self._tasks})
         self._task = gui.add_dropdown(
@@ -135,11 +126,11 @@ class PolicyPanel(HtmlPanel):
             hint="Another task, with the first of its policies.",
             visible=len(tasks) > 1,
         )
-        on_value(self._task, lambda _, task: send(SetPolicy(self._tasks[task])))
+        on_use(self._task, lambda _, task: send(SetPolicy(self._tasks[task])))
         self._shown_task = SyncedInput(self._task)
         hint = "Swap the policy in mid-episode."
-        self._picker = PolicyPicker(gui, "Policy", names, named, frame, hint)
-        on_value(self._picker.handle, lambda _, label: send(SetPolicy(names[label])))
+        self._picker = PolicyPicker(gui, "Policy", names, frame, hint)
+        on_use(self._picker.handle, lambda _, label: send(SetPolicy(names[label])))
         labels = {name: name for name in RUNS} | {"play": "▶ play"}
         hint = "Space, S, R and N do it, too."
         self._run = Choice(gui, "Episode", labels, lambda _, name: send(RUNS[name]), hint)
@@ -159,12 +150,12 @@ class PolicyPanel(HtmlPanel):
             hint="Which episode to start.",
         )
         go = gui.add_button("go", hint="Start the episode of this seed.")
-        on_press(go, lambda: send(SetSeed(int(seed.value))))
+        on_use(go, lambda *_: send(SetSeed(int(seed.value))))
         auto = gui.add_checkbox(
             "Auto", True, hint="Start the next seed by itself when an episode is over."
         )
         self._shown_auto = SyncedInput(auto)
-        on_value(auto, lambda _, on: send(SetAutoNext(bool(on))))
+        on_use(auto, lambda _, on: send(SetAutoNext(bool(on))))
         cells = [
             Cell(self._task, 1, 8),
             Cell(self._picker.handle, 1, 8),

@@ -15,9 +15,7 @@ import numpy as np
 import viser
 
 from madviz.app.markup import dot
-from madviz.app.panel import Assign
-from madviz.app.session_maker import Reference, own_name
-from madviz.app.toolkit import WidgetPanel
+from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import camera_colours
 from madviz.errors import UserError
 from madviz.policies.checkpoint import robot_of_policy
@@ -41,20 +39,16 @@ WITHOUT = (
 )
 
 
-class RecordedPanel(WidgetPanel):
+class RecordedPanel(HtmlPanel):
     """A table of distances, and both actions, number by number."""
 
-    def __init__(self, gui: viser.GuiApi, frame: Frame, named: Reference = own_name) -> None:
-        """``named``: what a policy is loaded by."""
-        self._named = named
+    def __init__(self, gui: viser.GuiApi, frame: Frame) -> None:
         self._learned: tuple[object, str] = (None, "")
         """Policy and episode that were looked up last, and what ``_training`` says of them."""
         self._episode = frame.world.episode
         self._seen: dict[int, tuple[object, dict[str, float]]] = {}
         """By step, the policy and the cameras as they were, and the distances by their names."""
-        self._text = gui.add_html("")
-        self.handles = [self._text]
-        self._text.content = self._html(frame)
+        super().__init__(gui, frame, self._content)
 
     def note(self, frame: Frame) -> None:
         """See ``panel.Panel``."""
@@ -63,10 +57,7 @@ class RecordedPanel(WidgetPanel):
             self._seen = {}
         self._seen[frame.world.step] = (_key(frame), distances(frame))
 
-    def update(self, frame: Frame) -> list[Assign]:
-        return [Assign(self._text, "content", self._html(frame))]
-
-    def _html(self, frame: Frame) -> str:
+    def _content(self, frame: Frame) -> str:
         self.note(frame)
         alike = [
             found
@@ -86,7 +77,7 @@ class RecordedPanel(WidgetPanel):
         if key != self._learned[0] and recorded is not None:
             robot = None
             with suppress(UserError):
-                robot = robot_of_policy(self._named(frame.world.policy))
+                robot = robot_of_policy(frame.world.reference)
             recordings = recordings_of(frame.world.env.task)
             self._learned = (key, training_words(robot, recordings, recorded.episode))
         return self._learned[1]

@@ -8,7 +8,7 @@ from html import escape
 
 import viser
 
-from madviz.app.toolkit import Cell, HtmlPanel, download, guarded, one_at_a_time, place
+from madviz.app.toolkit import Cell, HtmlPanel, download, on_use, one_at_a_time, place
 from madviz.session.frame import Frame
 from madviz.session.session_file import SavedSession
 
@@ -28,20 +28,14 @@ class SavePanel(HtmlPanel):
         self._keep = keep
         one = gui.add_button("save this episode", hint=HINTS["one"])
         several = gui.add_button("save the last 20", hint=HINTS["all"])
-        one.on_click(one_at_a_time(lambda event: self._download(event.client, True)))
-        several.on_click(one_at_a_time(lambda event: self._download(event.client, False)))
+        on_use(one, lambda client, _: self._download(client, True), one_at_a_time)
+        on_use(several, lambda client, _: self._download(client, False), one_at_a_time)
         self.handles = place(gui, "save", 2, [Cell(one, 1), Cell(several, 2)])
         super().__init__(gui, frame, save_html)
 
-    def _download(self, client: viser.ClientHandle | None, present_only: bool) -> None:
-        if client is None:
-            return
-
-        def save() -> None:
-            saved = self._keep(present_only)
-            download(client, file_name(saved), saved.to_json().encode())
-
-        guarded(client, save)
+    def _download(self, client: viser.ClientHandle, present_only: bool) -> None:
+        saved = self._keep(present_only)
+        download(client, file_name(saved), saved.to_json().encode())
 
 
 def file_name(saved: SavedSession) -> str:

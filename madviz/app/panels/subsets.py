@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from html import escape
 
 import numpy as np
@@ -10,11 +9,11 @@ import viser
 
 from madviz.analysis.shapley import camera_masks
 from madviz.app.markup import band, term, track
-from madviz.app.panel import Assign
-from madviz.app.toolkit import HtmlPanel, SyncedInput, on_value
+from madviz.app.panel import Assign, Send
+from madviz.app.toolkit import HtmlPanel, SyncedInput, on_use
 from madviz.drawing.colours import NOTE, camera_colours
 from madviz.session.camera_names import subset_label
-from madviz.session.commands import Command, ReadSubsets
+from madviz.session.commands import ReadSubsets
 from madviz.session.frame import Frame
 from madviz.subsets import camera_of, name_of
 
@@ -35,16 +34,14 @@ class SubsetsPanel(HtmlPanel):
     """A table with a row per subset: its action as bars, how far that is from other actions, its Q,
     whether it was trained."""
 
-    def __init__(
-        self, gui: viser.GuiApi, send: Callable[[Command], None] | None, frame: Frame
-    ) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send | None, frame: Frame) -> None:
         """``send`` None: read-only."""
         self._frame = frame
         self._read = gui.add_checkbox("Read every subset", frame.pace.reads_all, hint=ONE_BY_ONE)
         self._reads = SyncedInput(self._read)
         self._read.visible = send is not None and not frame.world.policy.reads_together
         if send is not None:
-            on_value(self._read, lambda _, on: send(ReadSubsets(bool(on))))
+            on_use(self._read, lambda _, on: send(ReadSubsets(bool(on))))
         self._may_read = send is not None
         self._everything = gui.add_checkbox(
             "Every row", False, hint="Also sets in which a camera gives half of what it could."
@@ -52,7 +49,7 @@ class SubsetsPanel(HtmlPanel):
         self._everything.visible = len(frame.world.probe.masks) > FEW
         self.handles = [self._read, self._everything]
         super().__init__(gui, frame, self._content)
-        on_value(self._everything, lambda *_: self.show(self.update(self._frame)))
+        on_use(self._everything, lambda *_: self.show(self.update(self._frame)))
 
     def _content(self, frame: Frame) -> str:
         return subsets_html(frame, bool(self._everything.value))
@@ -99,14 +96,6 @@ def subsets_html(frame: Frame, everything: bool = True) -> str:
     return f'<div class="mv"><table>{head}{"".join(lines)}</table>{key}</div>'
 
 
-def distances(frame: Frame, row: int) -> tuple[float, float]:
-    """Euclidean, in action units: from the action of ``row`` to the one taken now, and to that of
-    all streams. NaN where one of them cannot be had."""
-    action = frame.world.probe.readout.action
-    to_now, to_all = (np.linalg.norm(action[row] - action[other]) for other in (frame.row, 0))
-    return float(to_now), float(to_all)
-
-
 def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     readout = frame.world.probe.readout
     recorded = frame.world.recorded is not None
@@ -115,9 +104,11 @@ def _row(frame: Frame, row: int, trained: bool, here: bool) -> str:
     now = f'<span class="tag" style="background:{NOTE}">now</span> ' if here else ""
     dagger = "" if trained else '<span class="dim" title="not trained on">† </span>'
     if np.isfinite(readout.action[row]).all():
+        # Euclidean, from the action taken now, and from that of all streams.
+        others = (readout.action[other] for other in (frame.row, 0))
+        distances = (float(np.linalg.norm(readout.action[row] - other)) for other in others)
         apart = "".join(
-            f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>'
-            for d in distances(frame, row)
+            f'<td class="num">{"–" if np.isnan(d) else f"{d:.2f}"}</td>' for d in distances
         )
         figures = len(readout.action[row]) <= NARROW
         cells = f"<td>{action_bars(readout.action[row], figures)}</td>{apart}"

@@ -16,7 +16,7 @@ from madviz.app.panel import Assign
 from madviz.app.panels.features import NO_POINTS, small_axes
 from madviz.app.panels.subsets import presence
 from madviz.app.success_rates import NOTHING, SuccessRates, side_b
-from madviz.app.toolkit import WidgetPanel, on_value
+from madviz.app.toolkit import WidgetPanel, on_use
 from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.guard.policy import SUFFIX
 from madviz.measure.statistics import SuccessRate, pair
@@ -85,7 +85,7 @@ class SuccessPanel(WidgetPanel):
         if visitor is not None and rates.measures:
             self._switch = gui.add_checkbox("Measure", measures, hint=MEASURE_HINT)
             self.handles.append(self._switch)
-            on_value(self._switch, lambda _, on: self._set_measuring(bool(on)))
+            on_use(self._switch, lambda _, on: self._set_measuring(bool(on)))
 
     @property
     def measures(self) -> bool:

@@ -16,11 +16,11 @@ import numpy as np
 import viser
 
 from madviz.app.chart import Lane, chart
-from madviz.app.panel import Assign
+from madviz.app.panel import Assign, Send
 from madviz.app.pictures import strip_html
-from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_press, on_value, place
+from madviz.app.toolkit import Cell, HtmlPanel, SyncedInput, on_use, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
-from madviz.session.commands import Command, Fork, Scrub
+from madviz.session.commands import Fork, Scrub
 from madviz.session.frame import Frame, TimelinePoint
 
 LaneName = Literal["reward", "q"]
@@ -45,7 +45,7 @@ class TimelinePanel(HtmlPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None] | None,
+        send: Send | None,
         frame: Frame,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -60,17 +60,15 @@ class TimelinePanel(HtmlPanel):
             self._add_controls(gui, send, frame)
         super().__init__(gui, frame, timeline_html)
 
-    def _add_controls(
-        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
-    ) -> None:
+    def _add_controls(self, gui: viser.GuiApi, send: Send, frame: Frame) -> None:
         slider = gui.add_slider(
             "Step", 0, self._horizon, 1, frame.world.step, marks=(), hint=HINTS["step"]
         )
-        on_value(slider, lambda _, value: self._drag(int(value)))
+        on_use(slider, lambda _, value: self._drag(int(value)))
         fork = gui.add_button("fork here", hint=HINTS["fork"])
         live = gui.add_button("newest", hint=HINTS["live"])
         for button, command in ((fork, Fork()), (live, Scrub(None))):
-            on_press(button, lambda command=command: send(command))
+            on_use(button, lambda *_, command=command: send(command))
         self._slider = SyncedInput(slider)
         cells = [Cell(slider, 1, 8, "3em"), Cell(fork, 9, 3), Cell(live, 12, 3)]
         self.handles = place(gui, "timeline", 14, cells)

@@ -17,11 +17,11 @@ import viser
 from madviz.agent.methods import METHODS
 from madviz.app.chart import Lane, chart
 from madviz.app.markup import progress_bar
-from madviz.app.panel import Assign
-from madviz.app.toolkit import Cell, HtmlPanel, guarded, notify, on_value, one_at_a_time, place
+from madviz.app.panel import Assign, Send
+from madviz.app.toolkit import Cell, HtmlPanel, notify, on_use, one_at_a_time, place
 from madviz.drawing.colours import BAD, GOOD, MUTED, NOTE
 from madviz.envs.registry import known_tasks
-from madviz.session.commands import Command, SetPolicy
+from madviz.session.commands import SetPolicy
 from madviz.session.frame import Frame
 from madviz.training.job import OFFERS, JobConfig, JobStatus, TrainingJob
 
@@ -60,7 +60,7 @@ class TrainingPanel(HtmlPanel):
     def __init__(
         self,
         gui: viser.GuiApi,
-        send: Callable[[Command], None] | None,
+        send: Send | None,
         frame: Frame,
         job: TrainingJob,
         clock: Callable[[], float] = time.monotonic,
@@ -73,9 +73,7 @@ class TrainingPanel(HtmlPanel):
             self._add_controls(gui, send, frame)
         super().__init__(gui, frame, lambda _: training_html(self._status))
 
-    def _add_controls(
-        self, gui: viser.GuiApi, send: Callable[[Command], None], frame: Frame
-    ) -> None:
+    def _add_controls(self, gui: viser.GuiApi, send: Send, frame: Frame) -> None:
         task = gui.add_dropdown(
             "Task", known_tasks(), initial_value=frame.world.env.task, hint=HINTS["task"]
         )
@@ -84,7 +82,7 @@ class TrainingPanel(HtmlPanel):
         )
         recipe = gui.add_dropdown("Recipe", tuple(OFFERS), hint=HINTS["recipe"])
         budget = gui.add_dropdown("Budget", tuple(OFFERS["light"].budgets), hint=HINTS["budget"])
-        on_value(recipe, lambda _, name: setattr(budget, "options", tuple(OFFERS[name].budgets)))
+        on_use(recipe, lambda _, name: setattr(budget, "options", tuple(OFFERS[name].budgets)))
 
         def start(client: viser.ClientHandle) -> None:
             self._job.start(JobConfig(task.value, method.value, recipe.value, budget.value))
@@ -111,13 +109,13 @@ class TrainingPanel(HtmlPanel):
     ) -> viser.GuiButtonHandle:
         button = gui.add_button(name, hint=HINTS[name])
 
-        def press(event: viser.GuiEvent) -> None:
-            client = event.client
-            if client is not None:
-                guarded(client, lambda: work(client))
+        def press(client: viser.ClientHandle, _: object) -> None:
+            try:
+                work(client)
+            finally:
                 self._read_at = -READ_EVERY
 
-        button.on_click(one_at_a_time(press))
+        on_use(button, press, one_at_a_time)
         return button
 
     def update(self, frame: Frame) -> list[Assign]:

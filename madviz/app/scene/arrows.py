@@ -10,9 +10,9 @@ point moved along the line of sight stays where it is on the screen. So every po
 the visitor's eye, to ``NEAR`` of its distance, in front of whatever stood in the way; and again
 when the visitor looks from somewhere else.
 
-All arrows are one set of line segments. A browser without a GPU needs some 40 ms for every change
-of the scene, so they change at most four times a second and are hidden at full speed. Thickness is
-the same for a whole set, so what is to look thick is drawn as several lines side by side.
+All arrows are one set of line segments. They change at most four times a second and are hidden at
+full speed. Thickness is the same for a whole set, so what is to look thick is drawn as several
+lines side by side.
 """
 
 from __future__ import annotations

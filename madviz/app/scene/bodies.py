@@ -6,9 +6,7 @@ shared only between triangles that are joined across edges of less than ``CREASE
 
     box: 8 corners, 12 triangles, 3 sides meet in a corner at 90 degrees  ->  24 vertices
 
-A browser without a GPU needs some 40 ms to draw the scene, whatever has moved in it. So poses go
-out at most ten times a second, at full speed, when others need the machine, three times;
-and only of bodies that moved by more than can be seen.
+A body whose pose changed by less than can be seen stays where it is on the page.
 """
 
 from __future__ import annotations
