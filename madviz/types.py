@@ -219,17 +219,7 @@ class KnowsPlaces(Protocol):
 
     def places(self) -> Array:
         """(3 P,) float32 metres, world frame: x, y, z of the task's objects and of its goal now, in
-        a fixed order."""
-        ...
-
-
-@runtime_checkable
-class NamesPlaces(KnowsPlaces, Protocol):
-    """An environment that also says what ``places`` are the places of."""
-
-    @property
-    def place_names(self) -> tuple[str, ...]:
-        """(P,) names, in the order of ``places``."""
+        a fixed order. A property ``place_names``, (P,) texts, may say what they are."""
         ...
 
 

@@ -155,11 +155,11 @@ class TorchPolicy:
             raise self._cannot(mask)
         features, _ = encoded.private
         state = torch.from_numpy(encoded.state)[None]  # (1, S)
-        course = self.agent.encoder.foreseen(
+        pictures, reward, action = self.agent.encoder.foreseen(
             self.agent.actor, features, torch.from_numpy(mask), state, decisions
         )
-        reward = course.reward[:, 0].numpy() / self._reward_scale
-        return Future(_bytes(course.pictures[:, 0]), reward, course.action[:, 0].numpy())
+        rewards = reward[:, 0].numpy() / self._reward_scale
+        return Future(_bytes(pictures[:, 0]), rewards, action[:, 0].numpy())
 
     def _must_draw(self) -> None:
         if not self.imagines:

@@ -58,9 +58,9 @@ def sums_of(picture: Array) -> PictureSums:
     colours = picture.astype(np.float32)
     grey = colours[..., 0] + colours[..., 1]
     grey += colours[..., 2]  # (H, W)
-    grid = _grid(shape[0], shape[1])
+    by_row, by_column, darkest = _grid(shape[0], shape[1])
     # Whole numbers below 2^24 are exact in float32, and its products are the fastest.
-    cells = (grid.by_row @ grey @ grid.by_column).ravel().astype(np.float64)  # (441,)
+    cells = (by_row @ grey @ by_column).ravel().astype(np.float64)  # (441,)
     total = float(cells.sum())
     square = float(cells @ cells)
     lines = picture[::ROWS, :, 1].astype(np.int16)
@@ -69,29 +69,20 @@ def sums_of(picture: Array) -> PictureSums:
     return PictureSums(
         cells=cells,
         spread=max(len(cells) * square - total * total, 0) ** 0.5 / len(cells),
-        dark=int(np.count_nonzero(cells <= grid.darkest)),
+        dark=int(np.count_nonzero(cells <= darkest)),
         rough=int(steps.sum(dtype=np.int64)),
         edges=int(np.count_nonzero(steps >= EDGE)),
     )
 
 
-class _Grid(NamedTuple):
-    """The cells of pictures of one size."""
-
-    by_row: Array
-    """(21, H) float32: 1 where a row belongs to a row of cells."""
-    by_column: Array
-    """(W, 21) float32: likewise, of columns."""
-    darkest: Array
-    """(441,): the largest sum of each dark cell."""
-
-
 @lru_cache(maxsize=16)
-def _grid(rows: int, columns: int) -> _Grid:
+def _grid(rows: int, columns: int) -> tuple[Array, Array, Array]:
+    """The cells of pictures of one size: (21, H) float32, 1 where a row belongs to a row of cells;
+    likewise (W, 21), of columns; and (441,), the largest sum of each dark cell."""
     by_row = _membership(rows)  # (21, H)
     by_column = np.ascontiguousarray(_membership(columns).T)  # (W, 21)
     sizes = np.multiply.outer(by_row.sum(1), by_column.sum(0))  # (21, 21)
-    return _Grid(by_row, by_column, 3 * DARK * sizes.ravel())
+    return by_row, by_column, 3 * DARK * sizes.ravel()
 
 
 def _membership(count: int) -> Array:

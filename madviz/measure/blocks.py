@@ -47,6 +47,20 @@ class Block:
     rows: Sequence[Sequence[str]] = ()
 
 
+def ending(
+    how_to_read: Sequence[str], facts: Sequence[tuple[str, str]], command: str
+) -> list[Block]:
+    """The last blocks of every account; ``command`` makes it again."""
+    return [
+        Block("h2", ["How to read this"]),
+        Block("list", how_to_read),
+        Block("h2", ["What was measured"]),
+        Block("table", ("", ""), facts),
+        Block("h2", ["To make it again"]),
+        Block("code", [command]),
+    ]
+
+
 def markdown(blocks: Sequence[Block]) -> str:
     """The account without its pictures."""
     return "\n\n".join(filter(None, map(_as_markdown, blocks))) + "\n"

@@ -23,7 +23,6 @@ from typing import NamedTuple
 
 from madviz.errors import UserError
 from madviz.measure.episodes import FIRST_SEED, Finished, Job, Stopped
-from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
 from madviz.measure.table import Table
 from madviz.measure.workers import Pool, Workers
@@ -55,21 +54,6 @@ class Tally:
     """By seed, without gaps from the first on."""
     error: str = ""
     """Why no more episodes will come; empty while they do."""
-
-    @property
-    def n(self) -> int:
-        """Episodes so far."""
-        return len(self.results)
-
-    @property
-    def success(self) -> SuccessRate:
-        """At the last step."""
-        return SuccessRate.counted(result.success for result in self.results)
-
-    @property
-    def success_any(self) -> SuccessRate:
-        """At any step."""
-        return SuccessRate.counted(result.success_any for result in self.results)
 
 
 class Evaluator:
@@ -123,12 +107,6 @@ class Evaluator:
                 else:  # Newcomers are served first, then they queue.
                     self._wanted = {visitor: request, **self._wanted}
             self._pool.fill()
-            return self._tally(request)
-
-    def tally(self, policy: str | Path, condition: Condition) -> Tally:
-        """The results that are known already, without measuring more."""
-        request = self._as_request(policy, condition)
-        with self._lock:
             return self._tally(request)
 
     @property

@@ -78,16 +78,12 @@ class ResultKey:
     subset: str
 
 
-def default_path() -> Path:
-    """``$XDG_CACHE_HOME/madviz/results.sqlite``; ``~/.cache`` if the variable is not set."""
-    return cache_folder() / "results.sqlite"
-
-
 class Store:
-    """See the module. ``path`` None is the default one, ``":memory:"`` is gone with the process."""
+    """See the module. ``path`` None is ``$XDG_CACHE_HOME/madviz/results.sqlite`` (``~/.cache`` if
+    the variable is not set), ``":memory:"`` is gone with the process."""
 
     def __init__(self, path: str | Path | None = None) -> None:
-        self.path = str(path or default_path())
+        self.path = str(path or cache_folder() / "results.sqlite")
         self.trouble = ""
         """Why results stay in memory only; '' where they are on disk as asked."""
         self._lock = threading.RLock()

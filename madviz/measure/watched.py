@@ -75,7 +75,8 @@ def watched(
                 picture = (_DIM * env.view(camera).rgb).astype(np.uint8)
             elif picture.shape[2] == 1:
                 picture = picture.repeat(3, axis=2)
-            tiles += [_sized(picture), np.full((SIDE, GAP, 3), 40, np.uint8)]
+            picture = cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+            tiles += [picture, np.full((SIDE, GAP, 3), 40, np.uint8)]
         show(np.concatenate(tiles[:-1], axis=1))
         episode.actions.append(np.asarray(action, np.float32))
         if looks:
@@ -84,10 +85,6 @@ def watched(
     finished = runner.run(job, watch)
     episode.success = finished[0].success
     return episode, finished
-
-
-def _sized(picture: Array) -> Array:
-    return cv2.resize(picture, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
 
 
 def carry_out(job: Job, runner: Runner) -> Finished:

@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from functools import cached_property
 from queue import SimpleQueue
 from typing import Any
 
@@ -236,24 +235,16 @@ def run_anywhere(
 # --- In a worker process ----------------------------------------------------------------------
 
 
-class _Process:
-    """The state of a worker process between jobs."""
-
-    stop: Any = None
-
-    @cached_property
-    def runner(self) -> Runner:
-        return Runner(lambda: bool(self.stop.value))
-
-
-_process = _Process()
+_runner: Runner
+"""The process keeps it between jobs."""
 
 
 def _start(stop: Any, niceness: int) -> None:
     """Runs once in a new process."""
+    global _runner
     set_up_worker(niceness)
-    _process.stop = stop
+    _runner = Runner(lambda: bool(stop.value))
 
 
 def _work(job: Job) -> Finished:
-    return carry_out(job, _process.runner)
+    return carry_out(job, _runner)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 from madviz.types import Array
 
@@ -22,15 +21,8 @@ class RecordedMoment:
     """Decisions in the episode."""
 
 
-@runtime_checkable
-class PlaysRecording(Protocol):
-    """An environment that shows what was recorded, whatever the actions."""
-
-    def recorded(self) -> RecordedMoment:
-        """The recording at this step."""
-        ...
-
-
 def moment_of(env: object) -> RecordedMoment | None:
-    """The recording at this step; None where ``env`` is a simulator."""
-    return env.recorded() if isinstance(env, PlaysRecording) else None
+    """The recording at this step, which an environment that shows one tells by ``recorded()``;
+    None where ``env`` is a simulator."""
+    recorded = getattr(env, "recorded", None)
+    return recorded() if recorded else None

@@ -13,7 +13,7 @@ that it learned from are known by a digest of their numbers, in whatever dataset
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 
 from madviz.errors import UserError
+from madviz.recorded.description import RecordedCamera
 from madviz.recorded.scaling import Scaling, apart
 from madviz.system.files import read_json, write_json
 from madviz.system.typed import typed
@@ -34,18 +35,6 @@ FILE = "robot.json"
 FIX = "restore the file or train the policy again"
 
 
-@dataclass(frozen=True)
-class RobotCamera:
-    """A camera as it was recorded."""
-
-    key: str
-    """Its column in the dataset."""
-    name: str
-    height: int
-    """Pixels."""
-    width: int
-
-
 class _Numbers(msgspec.Struct):
     names: list[str]
     low: list[float]
@@ -56,7 +45,7 @@ class _Numbers(msgspec.Struct):
 class _File(msgspec.Struct):
     schema: int
     fps: float
-    cameras: list[RobotCamera]
+    cameras: list[RecordedCamera]
     state: _Numbers
     action: _Numbers
     held_out: list[int]
@@ -67,7 +56,8 @@ class _File(msgspec.Struct):
 class Robot:
     """The facts of a robot that its recordings tell."""
 
-    cameras: tuple[RobotCamera, ...]
+    cameras: tuple[RecordedCamera, ...]
+    """``kind`` is not kept, and has its default."""
     state_names: tuple[str, ...]
     action_names: tuple[str, ...]
     states: Scaling
@@ -80,7 +70,7 @@ class Robot:
     trained_on: frozenset[str] = frozenset()
     """The others, by ``Recordings.digest``; empty for a policy of which that is not known."""
 
-    def camera(self, name: str) -> RobotCamera:
+    def camera(self, name: str) -> RecordedCamera:
         """The camera called ``name``, which must be there."""
         return next(camera for camera in self.cameras if camera.name == name)
 
@@ -143,7 +133,7 @@ class Robot:
 def robot_of(recordings: Recordings) -> Robot:
     """The robot of ``recordings``, its scalings from the episodes for training."""
     states, actions = recordings.scalings()
-    cameras = [RobotCamera(c.key, c.name, c.height, c.width) for c in recordings.cameras]
+    cameras = [RecordedCamera(c.key, c.name, c.height, c.width) for c in recordings.cameras]
     return Robot(
         tuple(cameras),
         recordings.state_names,
@@ -162,7 +152,10 @@ def robot_document(robot: Robot) -> dict[str, object]:
     return {
         "schema": 1,
         "fps": robot.fps,
-        "cameras": [asdict(camera) for camera in robot.cameras],
+        "cameras": [
+            {"key": c.key, "name": c.name, "height": c.height, "width": c.width}
+            for c in robot.cameras
+        ],
         "state": {"names": list(robot.state_names), **robot.states.to_json()},
         "action": {
             "names": list(robot.action_names),

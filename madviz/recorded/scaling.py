@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from madviz.types import Array
@@ -17,11 +16,6 @@ class Scaling:
 
     low: tuple[float, ...]
     high: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.low) != len(self.high):
-            found = f"{len(self.low)} and {len(self.high)}"
-            raise ValueError(f"expected as many low as high, found {found}")
 
     def scale(self, x: Array) -> Array:
         """(..., n) raw -> (..., n) float32; beyond [-1, 1] where ``x`` is out of range."""
@@ -36,11 +30,6 @@ class Scaling:
 
     def to_json(self) -> dict[str, list[float]]:
         return {"low": list(self.low), "high": list(self.high)}
-
-    @classmethod
-    def from_json(cls, value: object) -> Scaling:
-        """Raises msgspec.ValidationError, a ValueError, for what ``to_json`` does not make."""
-        return msgspec.convert(value, cls)
 
     def _bounds(self) -> tuple[Array, Array]:
         low = np.array(self.low)

@@ -21,7 +21,7 @@ from madviz.observation.condition import Condition
 from madviz.observation.schedule import Event, Schedule
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
-from madviz.recording.film_files import Film, LargeFilm, SmallFilm
+from madviz.recording.film_files import LargeFilm, SmallFilm
 from madviz.recording.film_picture import FilmSide, whole_picture
 from madviz.recording.frames import frames
 from madviz.recording.scene_view import KeepsActions
@@ -144,7 +144,7 @@ def write_film(
             "task"
         )
     rates = known_rates({known_as(spec): reference for reference, spec in specs.items()})
-    film: Film = SmallFilm(path) if path.suffix == ".webp" else LargeFilm(path, fps)
+    film = SmallFilm(path) if path.suffix == ".webp" else LargeFilm(path, fps)
     rows: list[ChapterRow] = []
     titles: list[tuple[float, str]] = []
     with ExitStack() as scenes:

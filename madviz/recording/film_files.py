@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Protocol
 
 from PIL import Image
 
@@ -16,21 +15,6 @@ SMALL_EVERY = 3
 """A small film's columns, and of how many decisions it shows one."""
 
 
-class Film(Protocol):
-    """Takes the pictures of a film in order."""
-
-    seconds: float
-    """How long it is so far."""
-
-    def add(self, picture: Array, seconds: float) -> None:
-        """A picture (H, W, 3) that stays for ``seconds``."""
-        ...
-
-    def close(self, titles: list[tuple[float, str]]) -> None:
-        """Completes the file; ``titles``: when each chapter begins, in seconds."""
-        ...
-
-
 class LargeFilm:
     """X.mp4, with chapters."""
 
@@ -38,18 +22,19 @@ class LargeFilm:
         self._path = path
         self._fps = fps
         self.seconds = 0.0
+        """How long it is so far."""
         self._folder = tempfile.TemporaryDirectory()
         self._plain = Path(self._folder.name) / "film.mp4"
         self._film = Mp4(self._plain, fps)
 
     def add(self, picture: Array, seconds: float) -> None:
-        """Writes a picture as often as its time asks for; see ``Film``."""
+        """Writes a picture (H, W, 3) as often as its ``seconds`` ask for."""
         for _ in range(max(1, round(seconds * self._fps))):
             self._film.add(picture)
         self.seconds += seconds
 
     def close(self, titles: list[tuple[float, str]]) -> None:
-        """Writes the chapters, whose times are known only now; see ``Film``."""
+        """Writes the chapters, whose beginnings in seconds, ``titles``, are known only now."""
         self._film.close()
         ends = [*(start for start, _ in titles[1:]), self.seconds]
         chapters = [(start, end, title) for (start, title), end in zip(titles, ends, strict=True)]
@@ -67,7 +52,7 @@ class SmallFilm:
         self._passed = 0
 
     def add(self, picture: Array, seconds: float) -> None:
-        """Takes a picture; one that is left out gives its time to the one before it."""
+        """Takes a picture (H, W, 3); one that is left out gives its time to the one before it."""
         self.seconds += seconds
         self._passed += 1
         if self._shown and seconds < 1 and self._passed % SMALL_EVERY:

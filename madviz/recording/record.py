@@ -22,7 +22,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -50,6 +50,7 @@ from madviz.session.replay import comes_out_same, failure_words, finder
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
+from madviz.system.options import changed, words_for
 from madviz.types import EnvSpec
 from madviz.wire.reference import with_wire
 
@@ -347,22 +348,16 @@ def record_words(result: dict[str, Any]) -> str:
 def command_of(config: RecordConfig) -> str:
     """The command line that makes the recording again. Of paths only the last part: a report that
     is given away says nothing about whose folders it came from."""
-    policy = config.policy
-    words = ["madviz", "record"]
+    # An episode's seed is said, also the default one; a saved session has its own.
+    usual = RecordConfig(config.out, seed=-1 if config.replay is None else config.seed)
+    asked = changed(replace(config, keep=None, json=None), usual)
+    if config.policy is not None:
+        asked["policy"] = checkpoint.shown(config.policy)
     if config.replay is not None:
-        words += ["--replay", config.replay.name]
-    if policy is not None:
-        words += ["--policy", checkpoint.shown(policy)]
-    if config.replay is None:
-        words += ["--seed", str(config.seed)]
-    words += ["--wire", config.wire.name] if config.wire else []
-    words += ["--trust"] if config.trust else []
-    words += ["--guard"] if config.guard else []
-    words += ["--drop", *config.drop] if config.drop else []
-    for name in ("scenario", "episode", "steps", "tile", "fps"):
-        value = getattr(config, name)
-        words += [] if value == getattr(RecordConfig, name) else [f"--{name}", f"{value}"]
-    return shlex.join([*words, "--out", config.out.name])
+        asked["replay"] = config.replay.name
+    if config.wire is not None:
+        asked["wire"] = config.wire.name
+    return shlex.join(["madviz", "record", *words_for(asked), "--out", config.out.name])
 
 
 def _reference(config: RecordConfig) -> str:

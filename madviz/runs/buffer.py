@@ -120,7 +120,7 @@ class ReplayBuffer:
         rows = spec.rows
         self._device = device
         self._refuse_if_too_large(rows * spec.bytes_per_row, folder, available)
-        self._frames: FrameStore = _frame_store(spec, folder, device)
+        self._frames = _frame_store(spec, folder, device)
         self._numbers: dict[str, Array] = {
             "state": np.zeros((rows, spec.state_dim), np.float32),
             "action": np.zeros((rows, spec.action_dim), np.float32),
@@ -258,11 +258,6 @@ class ReplayBuffer:
         for number in range(max(numbers.start, self._count), numbers.stop):
             frames = [pack.frames([number - numbers.start])[0] for pack in packs]
             self._frames.write(number, frames)
-
-    @property
-    def bytes_held(self) -> int:
-        """Bytes that all that is stored takes now."""
-        return self._frames.bytes_held + sum(column.nbytes for column in self._numbers.values())
 
     @property
     def packed_bytes_per_row(self) -> float:

@@ -19,14 +19,16 @@ import torch
 from torch import Tensor
 
 from madviz.observation.streams import IMAGE_SIZE
+from madviz.runs.buffer_storage import FrameStore
 from madviz.types import Array
 
 
-class DeviceFrames:
-    """Every frame as it is, in the memory of ``device``; a ``FrameStore``."""
+class DeviceFrames(FrameStore):
+    """Every frame as it is, in the memory of ``device``."""
 
     def __init__(self, rows: int, channels: Sequence[int], device: str) -> None:
         """Room for ``rows`` time steps."""
+        super().__init__(channels)
         size = (rows, IMAGE_SIZE, IMAGE_SIZE)
         self._rows = rows
         self._rings = [
@@ -45,10 +47,6 @@ class DeviceFrames:
 
     def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
         return [self._stacks(history % self._rows) for history in histories]
-
-    @property
-    def bytes_held(self) -> int:
-        return sum(ring.nbytes for ring in self._rings)
 
     def _stacks(self, rows: Array) -> Tensor:
         """Those at ``rows`` (B, F)."""

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -42,40 +41,25 @@ EXPECTED_SHARE = 0.375
 (push-cube)."""
 
 
-class FrameStore(Protocol):
+class FrameStore:
     """Frames by stream and time step; steps are numbered on and on, the oldest are dropped."""
-
-    def write(self, number: int, frames: Sequence[Array]) -> None:
-        """The frames (H, W, C) of all streams at the time step ``number``, the last one plus 1."""
-        ...
-
-    def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
-        """Frames (H, W, C) by time step; not to be written to, and used before a ``write``."""
-        ...
-
-    def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
-        """For each (B, F) of time steps, the (B, V, 3 F, H, W) uint8 they show, channels last in
-        memory: what the encoder wants."""
-        ...
-
-    @property
-    def bytes_held(self) -> int:
-        """Bytes that the frames take now."""
-        ...
-
-
-class HostFrames:
-    """Common to stores in a CPU's reach: how stacks are put together."""
 
     def __init__(self, channels: Sequence[int]) -> None:
         """``channels`` of every stream's frames: 3 for colour, 1 for depth."""
         self._channels = channels
 
+    def write(self, number: int, frames: Sequence[Array]) -> None:
+        """The frames (H, W, C) of all streams at the time step ``number``, the last one plus 1."""
+        raise NotImplementedError
+
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
+        """Frames (H, W, C) by time step; not to be written to, and used before a ``write``."""
         raise NotImplementedError
 
     def stacks(self, histories: Sequence[Array]) -> list[Tensor]:
-        """A frame that several stacks show is fetched once."""
+        """For each (B, F) of time steps, the (B, V, 3 F, H, W) uint8 they show, channels last in
+        memory: what the encoder wants. A frame that several stacks show is fetched once. They are
+        put together on the host here, and by ``DeviceFrames`` on its device."""
         count = len(self._channels)
         size = IMAGE_SIZE
         stacks = [
@@ -92,7 +76,7 @@ class HostFrames:
         return [torch.from_numpy(out).permute(0, 1, 4, 2, 3) for out in stacks]
 
 
-class PlainFrames(HostFrames):
+class PlainFrames(FrameStore):
     """Every frame as it is, in memory or in files."""
 
     def __init__(self, rows: int, channels: Sequence[int], files: Sequence[Path] = ()) -> None:
@@ -113,10 +97,6 @@ class PlainFrames(HostFrames):
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
         array = self._arrays[stream]
         return {number: array[number % self._rows] for number in numbers}
-
-    @property
-    def bytes_held(self) -> int:
-        return sum(array.nbytes for array in self._arrays)
 
 
 class Pack:
@@ -173,7 +153,7 @@ class Pack:
         return cls(arrays["pictures"].tobytes(), arrays["data"].tobytes(), arrays["ends"], shape)
 
 
-class PackedFrames(HostFrames):
+class PackedFrames(FrameStore):
     """Packs of ``TOGETHER`` time steps, and the newest time steps plain."""
 
     def __init__(self, rows: int, channels: Sequence[int]) -> None:
@@ -213,10 +193,6 @@ class PackedFrames(HostFrames):
         """Bytes of all packs, and the time steps in them."""
         packs = self._packs.values()
         return sum(p.nbytes for pack in packs for p in pack), sum(len(pack[0]) for pack in packs)
-
-    @property
-    def bytes_held(self) -> int:
-        return self.bytes_packed[0] + sum(array.nbytes for array in self._open)
 
 
 def _dictionary(pictures: bytes) -> zstandard.ZstdCompressionDict:

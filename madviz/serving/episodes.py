@@ -23,8 +23,9 @@ import numpy as np
 
 from madviz.guard.policy import GuardedPlayer
 from madviz.policies.players import player_of
+from madviz.recorded.description import RecordedCamera
 from madviz.recorded.films import has_bars, letterboxed
-from madviz.recorded.robot import Robot, RobotCamera
+from madviz.recorded.robot import Robot
 from madviz.subsets import name_of
 from madviz.types import Array, Player, Policy, PolicyWithMemory, TakesPictures
 
@@ -180,7 +181,7 @@ class ServedEpisodes:
         return self._robot.states.scale(found) if self._robot else found
 
 
-def _boxed(picture: Array, camera: RobotCamera, size: int) -> Array:
+def _boxed(picture: Array, camera: RecordedCamera, size: int) -> Array:
     """(H, W, C) -> (size, size, C) with black bars, as in training. Raises BadLook where the aspect
     is not that of ``camera``: a picture that was squashed is another one."""
     height, width = picture.shape[:2]

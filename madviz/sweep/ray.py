@@ -22,7 +22,7 @@ RETRIES = 20
 
 
 class RayBackend:
-    """See the module; the shape is ``madviz.sweep.sweep.Backend``."""
+    """See the module; the methods are those of ``madviz.sweep.sweep.LocalBackend``."""
 
     def __init__(
         self,

@@ -25,7 +25,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
@@ -163,7 +162,7 @@ def carry_out(
             return RunOutcome("failed", why)
         if finished(folder):
             return RunOutcome("finished")
-        with claimed(folder) as claim:
+        with locked(folder / CLAIM) as claim:  # None: another process holds it.
             if claim is None:
                 return RunOutcome("busy")
             if not finished(folder):
@@ -174,11 +173,6 @@ def carry_out(
     except (UserError, OSError) as error:
         return RunOutcome("failed", str(error), time.monotonic() - began)
     return RunOutcome("finished", seconds=time.monotonic() - began)
-
-
-def claimed(folder: Path) -> AbstractContextManager[int | None]:
-    """The descriptor of the locked claim; None if another process holds it."""
-    return locked(folder / CLAIM)
 
 
 def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:

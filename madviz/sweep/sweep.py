@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NotRequired, Protocol, TypedDict
+from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -41,10 +41,13 @@ from madviz.sweep.run import (
     finished,
     result_rows,
 )
-from madviz.sweep.sweep_plan import SweepPlan, read_plan
+from madviz.sweep.sweep_plan import read_plan
 from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say
+
+if TYPE_CHECKING:
+    from madviz.sweep.ray import RayBackend
 
 BUSY_SECONDS = 2.0
 """How long a run that another process works on is left alone."""
@@ -75,32 +78,12 @@ class SweepConfig:
     """Where to write the outcome of every run; - is standard output."""
 
 
-class Backend(Protocol):
-    """Carries runs out somewhere."""
-
-    @property
-    def slots(self) -> int:
-        """How many runs it takes at a time, now."""
-        ...
-
-    def submit(self, run: Run) -> None:
-        """Begins a run; call it only while there is a free slot."""
-        ...
-
-    def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
-        """The runs that ended since the last call; waits up to ``seconds`` for something."""
-        ...
-
-    def close(self) -> None:
-        """Ends what still runs, with SIGTERM, and waits for it."""
-        ...
-
-
 class LocalBackend:
     """Threads of this process that each watch one command."""
 
     def __init__(self, out: Path, jobs: int, program: Sequence[str] = ()) -> None:
         self.slots = jobs
+        """How many runs it takes at a time, now."""
         self._out = out
         self._program = program
         self._stop = threading.Event()
@@ -109,42 +92,43 @@ class LocalBackend:
         self._running: dict[Future[RunOutcome], Run] = {}
 
     def submit(self, run: Run) -> None:
+        """Begins a run; call it only while there is a free slot."""
         future = self._pool.submit(
             carry_out, run, self._out, self._program, self._workers, self._stop
         )
         self._running[future] = run
 
     def collect(self, seconds: float) -> list[tuple[Run, RunOutcome]]:
+        """The runs that ended since the last call; waits up to ``seconds`` for something."""
         done, _ = wait(self._running, seconds, FIRST_COMPLETED)
         return [(self._running.pop(future), future.result()) for future in done]
 
     def close(self) -> None:
+        """Ends what still runs, with SIGTERM, and waits for it."""
         self._stop.set()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def run_sweep(
-    config: SweepConfig, program: Sequence[str] = (), backend: Backend | None = None
-) -> SweepResult:
+def run_sweep(config: SweepConfig, program: Sequence[str] = ()) -> SweepResult:
     """``madviz sweep``: the outcome of every run; progress goes to standard error.
 
     ``program`` stands for ``madviz`` in every run. Raises UserError before anything runs for a
     mistake in the file, and for folders that hold runs of another file.
     """
     check_numbers(config)
-    plan = read_plan(config.file)
-    out = config.out or Path("runs") / plan.name
-    for run in plan.runs:
+    runs = read_plan(config.file)
+    out = config.out or Path("runs") / Path(config.file).stem
+    for run in runs:
         if not broken(out / run.name):
             check_same(out / run.name, run)
     if config.dry_run:
-        return _summary(plan, out, config, {})
+        return _summary(runs, out, config, {})
     out.mkdir(parents=True, exist_ok=True)
-    left = [run for run in plan.runs if not finished(out / run.name)]
+    left = [run for run in runs if not finished(out / run.name)]
     if not left:
-        return _summary(plan, out, config, {})
-    engine = backend or _backend(config, out, program)
-    watch = Watch(len(plan.runs), len(left), lambda run: expected_seconds(out / run.name))
+        return _summary(runs, out, config, {})
+    engine = _backend(config, out, program)
+    watch = Watch(len(runs), len(left), lambda run: expected_seconds(out / run.name))
     try:
         with watch, terminable():
             outcomes = carry_all_out(left, engine, watch)
@@ -153,10 +137,10 @@ def run_sweep(
         raise
     finally:
         engine.close()
-    return _summary(plan, out, config, outcomes)
+    return _summary(runs, out, config, outcomes)
 
 
-def _backend(config: SweepConfig, out: Path, program: Sequence[str]) -> Backend:
+def _backend(config: SweepConfig, out: Path, program: Sequence[str]) -> LocalBackend | RayBackend:
     if config.backend == "ray":
         from madviz.sweep.ray import RayBackend
 
@@ -166,7 +150,7 @@ def _backend(config: SweepConfig, out: Path, program: Sequence[str]) -> Backend:
 
 def carry_all_out(
     runs: Sequence[Run],
-    backend: Backend,
+    backend: LocalBackend | RayBackend,
     watch: Watch,
     now: Callable[[], float] = time.monotonic,
 ) -> dict[str, RunOutcome]:
@@ -324,20 +308,20 @@ class SweepResult(TypedDict):
 
 
 def _summary(
-    plan: SweepPlan, out: Path, config: SweepConfig, outcomes: Mapping[str, RunOutcome]
+    runs: Sequence[Run], out: Path, config: SweepConfig, outcomes: Mapping[str, RunOutcome]
 ) -> SweepResult:
     """Results are read from the folders, whichever run put them there."""
-    runs = [_run_row(run, out / run.name, outcomes.get(run.name)) for run in plan.runs]
-    states = [run["state"] for run in runs]
+    rows = [_run_row(run, out / run.name, outcomes.get(run.name)) for run in runs]
+    states = [row["state"] for row in rows]
     return {
         "schema": 1,
-        "name": plan.name,
+        "name": Path(config.file).stem,
         "out": str(out),
         "dry_run": config.dry_run,
         "finished": states.count("finished"),
         "failed": states.count("failed"),
         "waiting": states.count("waiting"),
-        "runs": runs,
+        "runs": rows,
     }
 
 

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,6 +39,7 @@ from madviz.errors import UserError, unknown
 from madviz.sweep.run import Run
 from madviz.system.files import read_toml
 from madviz.system.options import options as options_of
+from madviz.system.options import words_for
 from madviz.system.typed import typed
 from madviz.training.config import TrainConfig, recipe_of
 
@@ -79,21 +79,13 @@ class SweepFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     eval: EvalOptions = EvalOptions()
 
 
-@dataclass(frozen=True)
-class SweepPlan:
-    """The content of a sweep file."""
-
-    name: str
-    """The file's name without its ending; the default folder is runs/NAME."""
-    runs: tuple[Run, ...]
-
-
-def read_plan(file: str | Path) -> SweepPlan:
-    """Raises UserError for a file that is missing, not TOML, or asks for what does not exist."""
+def read_plan(file: str | Path) -> tuple[Run, ...]:
+    """The runs that a sweep file asks for. Raises UserError for a file that is missing, not TOML,
+    or asks for what does not exist."""
     path = Path(file)
     document = read_toml(path, "a sweep file", FIX)
     asked = typed(document, SweepFile, path, FIX)
-    evaluation = tuple(_options(msgspec.to_builtins(asked.eval)))
+    evaluation = tuple(words_for(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}
     for grid in asked.grid if isinstance(asked.grid, list) else [asked.grid]:
         for run in _expand(path, grid, evaluation):
@@ -102,7 +94,7 @@ def read_plan(file: str | Path) -> SweepPlan:
                     f"{path}: expected one set of options for {run.name}, found two in different "
                     "grids; put the values that differ in a list, so that names say them"
                 )
-    return SweepPlan(path.stem, tuple(runs.values()))
+    return tuple(runs.values())
 
 
 def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
@@ -129,7 +121,7 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
         for values in product(*axes_here.values()):
             chosen = dict(zip(axes_here, values, strict=True))
             train = ["--task", task, "--method", name, "--setting", where, "--recipe", recipe]
-            train += ["--seed", str(seed), *_options({**mine, **chosen})]
+            train += ["--seed", str(seed), *words_for({**mine, **chosen})]
             words = [f"{key.split('.')[-1]}{value}" for key, value in chosen.items()]
             words += [grid.name] if grid.name else []
             label = _name(task, name, where, recipe, words, seed)
@@ -174,19 +166,6 @@ def flat(table: Table, prefix: str = "") -> Table:
         name = f"{prefix}{key}".replace("_", "-")
         options |= flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
     return options
-
-
-def _options(options: Table) -> list[str]:
-    """``{"a": 1, "b": True, "c": False, "d": ["x", "y"]}`` -> ``--a 1 --b --no-c --d x y``."""
-    arguments: list[str] = []
-    for key, value in options.items():
-        if isinstance(value, bool):
-            head, dot, tail = key.rpartition(".")
-            arguments.append(f"--{key}" if value else f"--{head}{dot}no-{tail}")
-        else:
-            several = value if isinstance(value, list) else [value]
-            arguments += [f"--{key}", *map(str, several)]
-    return arguments
 
 
 def _name(task: str, name: str, where: str, recipe: str, words: list[str], seed: int) -> str:

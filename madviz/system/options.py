@@ -9,7 +9,7 @@ Ranges of numbers are in ``numbers``, on top of this.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -65,6 +65,26 @@ def options(config: Any, prefix: str = "--") -> Iterator[tuple[str, Any, Any]]:
             yield from options(group, f"{option}.")
         else:
             yield option, kind, value
+
+
+def changed(config: Any, usual: Any) -> dict[str, Any]:
+    """The options of ``config`` whose values are not those of ``usual``, of the same class:
+    ``light.rounds`` and its value."""
+    before = {name: value for name, _, value in options(usual, "")}
+    return {name: value for name, _, value in options(config, "") if value != before[name]}
+
+
+def words_for(values: Mapping[str, Any]) -> list[str]:
+    """``{"a": 1, "b": True, "c.d": False, "e": ["x", 2]}`` -> ``--a 1 --b --c.no-d --e x 2``."""
+    words: list[str] = []
+    for name, value in values.items():
+        if isinstance(value, bool):
+            head, dot, tail = name.rpartition(".")
+            words.append(f"--{name}" if value else f"--{head}{dot}no-{tail}")
+        else:
+            several = value if isinstance(value, list | tuple) else [value]
+            words += [f"--{name}", *map(str, several)]
+    return words
 
 
 def bare(kind: Any) -> Any:

@@ -21,7 +21,7 @@ from typing import TextIO
 from madviz.errors import UserError
 
 NOT_WRITTEN = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
-"""What a disk that takes no more says; Python then names no file."""
+"""The errors of a disk that takes no more; Python then names no file."""
 
 
 def open_standard_streams() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from madviz.agent.agent import TorchPolicy
-from madviz.agent.merges.attention import HEADS, CrossAttention, attend
+from madviz.agent.merges.attention import HEADS, CrossAttention, attend, split_heads
 from madviz.agent.merges.vit import ViewTransformer
 from madviz.errors import UserError
 from madviz.subsets import mask_of
@@ -49,7 +49,7 @@ def _shares(query: torch.Tensor, key: torch.Tensor, mask: Array, itself: bool) -
     places = tokens // views
     who = np.tile(mask, (views, 1)) & (itself | ~np.eye(views, dtype=bool))
     allowed = torch.from_numpy(who.repeat(places, 0).repeat(places, 1))
-    query, key = (x.unflatten(-1, (HEADS, -1)).transpose(1, 2) for x in (query, key))
+    query, key = map(split_heads, (query, key))
     one_hot = torch.eye(views).repeat_interleave(places, 0).expand(1, HEADS, -1, -1)
     shares = attend(query, key, one_hot, allowed)[0].unflatten(-1, (HEADS, views)).mean(1)
     return shares.unflatten(0, (views, places)).mean(1).numpy() * who.any(1, keepdims=True)

@@ -13,7 +13,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
@@ -30,7 +30,7 @@ from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import camera_of
 from madviz.system.numbers import Seed, Threads
-from madviz.system.options import OneOf, Only
+from madviz.system.options import OneOf, Only, changed, words_for
 from madviz.training.light_options import LightConfig
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.recorded import imitate
@@ -331,36 +331,12 @@ def with_recording(config: TrainConfig) -> TrainConfig:
 def command(config: TrainConfig, given_away: bool = True) -> str:
     """The line that trains this policy again; if it is ``given_away``, with the last part alone of
     the path of recordings."""
-    default = TrainConfig()
-    source = ["--task", config.task]
+    usual = TrainConfig(own=type(config.own).of_recipe(config.recipe))
+    asked: dict[str, Any] = {"task": config.task, "method": config.method, "recipe": config.recipe}
+    asked |= changed(replace(config, out=None, resume=False), usual)
     if config.recording is not None:
-        name = config.task.partition("/")[2]
-        source = ["--recording", name if given_away else str(config.recording)]
-    words = ["madviz", "train", *source, "--method", config.method]
-    words += ["--recipe", config.recipe]
-    if config.cameras:
-        words += ["--cameras", str(config.cameras)]
-    for name in ("setting", "camera", "merge", "seed", "state", "render_profile", "threads"):
-        if getattr(config, name) != getattr(default, name):
-            words += [f"--{name.replace('_', '-')}", str(getattr(config, name))]
-    section = RECIPES[config.recipe].options
-    asked = getattr(config, section), getattr(default, section)
-    words += _changed(section.replace("_", "-"), *asked)
-    if type(config.own) is not OwnOptions:
-        words += _changed("own", config.own, type(config.own).of_recipe(config.recipe))
-    return shlex.join(words)
-
-
-def _changed(section: str, options: Any, standard: Any) -> list[str]:
-    """The words for those of ``options``, a dataclass, that are not as in ``standard``."""
-    words = []
-    for name, value in vars(options).items():
-        usual = getattr(standard, name)
-        option = name.replace("_", "-")
-        if is_dataclass(value):
-            words += _changed(f"{section}.{option}", value, usual)
-        elif isinstance(value, bool) and value != usual:
-            words += [f"--{section}.{'' if value else 'no-'}{option}"]
-        elif value != usual:
-            words += [f"--{section}.{option}", str(value)]
-    return words
+        del asked["task"]
+        asked["recording"] = config.task.partition("/")[2] if given_away else config.recording
+    here = (None, config.recipe)
+    words = words_for({name: value for name, value in asked.items() if recipe_of(name) in here})
+    return shlex.join(["madviz", "train", *words])

@@ -13,13 +13,8 @@ data and weights of every round are a function of the configuration alone, and a
 repeats them. At 8 episodes and 300 updates a round, 12 rounds see 9,800 labelled states.
 
 The other methods learn from the same episodes and labels, each with its own rows (``methods.py``).
-Naive Both is MAD with alpha = 1 / (1 + V) here: the expert is every row's only teacher, so nothing
-but the weights tells the two apart.
-MV-MAE's autoencoder has an Adam of its own, too; it learns from the pictures as they were
-recorded, and the actor is taught on those it reads of shifted ones.
-VIB adds its bottleneck's cost to the loss; its Gaussians have 64 numbers, and beta is 0.01, because
-errors of actions are about a thousandth of the squared errors of Q that the paper's 10 stands
-beside. MVD's contrastive losses have an Adam of their own, as in the paper's code.
+MV-MAE's autoencoder has an Adam of its own; it learns from the pictures as they were recorded, and
+the actor is taught on those it reads of shifted ones.
 
 Shipped are an exponential average of the weights and a critic fitted at the end to the recorded
 rewards (``madviz.training.light_critic``), so that Q can be shown; the critic never shapes the

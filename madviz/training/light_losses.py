@@ -1,6 +1,5 @@
-"""Losses of the light recipe: errors of actions and, where asked for, of places.
-
-    L = alpha |pi(M) - a*|^2 + (1 - alpha) mean_i |pi(V_i) - a*|^2  [+ w (the same of places)]
+"""Losses of the light recipe: errors of actions (``light.py`` has the formula) and, where asked
+for, of places, in the same way.
 
 The problem of the second part: an action says little about where things are. Far from the ball, a
 ball 2 cm further left changes hardly any action, so a camera whose picture has to be read finely is

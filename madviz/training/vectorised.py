@@ -1,20 +1,16 @@
-"""The recipe ``paper-vectorised``: the paper's losses, over many environments that step together.
+"""The recipe ``paper-vectorised``: the paper's losses, over many environments that step together
+(``runs/lanes_run.py``).
 
 One environment and one update every second decision leave a machine with cores to spare waiting:
 drawing three cameras takes longer than acting. Here L environments step in worker processes, and
-the learner makes its updates *while* they step:
-
-    act in L lanes -> workers step and draw ......................... -> L transitions
-                         meanwhile updates on what was there before
+the learner makes its updates *while* they step.
 
 How much is learned from a decision is an option: ``update_ratio``, 0.5 in the paper. With 8
 environments that is 4 updates for a step of all; fewer make a run shorter and each decision count
 for less. The curve reports both rates, ``env_steps_per_s`` and ``updates_per_s``.
 
-On a CPU the order of everything is fixed, so a run is a function of its configuration and seed and
-of the learner's threads, whatever the number of workers; a killed run goes on in mid-episode and
-ends with the same weights. On a GPU it ends with similar ones: what is summed there in which order
-is chosen by speed.
+A killed run goes on in mid-episode and ends, on a CPU, with the same weights; on a GPU with similar
+ones: what is summed there in which order is chosen by speed.
 
 On a CUDA device (``--vectorised.device``) updates run there, in bfloat16 where it has it, each as
 one CUDA graph (``agent/update_graph.py``), and the buffer's frames are in its memory

@@ -4,7 +4,6 @@ which address did not do what was expected of it."""
 from __future__ import annotations
 
 import logging
-from types import TracebackType
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidURI
@@ -36,17 +35,6 @@ class PolicyConnection:
         self._socket: ClientConnection | None = None
         self.answered = False
         """Whether the server has computed an answer before, and so needs no time to get ready."""
-
-    def __enter__(self) -> PolicyConnection:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def is_open(self) -> bool:

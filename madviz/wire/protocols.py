@@ -13,10 +13,10 @@ type, payload, a number that the answer repeats, and a time.
 from __future__ import annotations
 
 import time
-from typing import Any, Protocol
+from typing import Any
 
 from madviz.types import Array
-from madviz.wire.codec import Protocol as Name
+from madviz.wire.codec import Protocol
 from madviz.wire.connection import OPENING, PolicyConnection
 from madviz.wire.keys import put
 from madviz.wire.wiring import Wiring
@@ -24,50 +24,34 @@ from madviz.wire.wiring import Wiring
 LISTEN = 1.0
 """Seconds in which an openpi server has spoken."""
 OURS = "madviz"
+"""Under this key of the greeting, servers of madviz's own say all about the policy."""
 BOXED = "boxed"
 """The key by which a client of ours says that its pictures are as in training, bars and all."""
-"""Under this key of the greeting, servers of madviz's own say all about the policy."""
 IDENTITY = ("name", "model_server", "model", "policy", "checkpoint", "revision", "digest")
 """Keys of a greeting that say which policy is served; ``digest`` is one of its weights."""
 VERSION = 1
 """The version of vla-eval's protocol."""
 
 
-class Speaker(Protocol):
-    """How one of the protocols is spoken on a connection."""
-
-    name: Name
-
-    def greet(self, connection: PolicyConnection) -> dict[str, Any]:
-        """The server's description of itself. The connection is open, and nothing was said on
-        it."""
-        ...
-
-    def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
-        """An episode begins."""
-        ...
-
-    def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
-        """The server's answer to one look."""
-        ...
-
-
 class VlaEval:
-    """See the module."""
+    """See the module. Both protocols are spoken on a connection that is open."""
 
-    name: Name = "vla-eval"
+    name: Protocol = "vla-eval"
 
     def __init__(self) -> None:
         self._number = 0
 
     def greet(self, connection: PolicyConnection) -> dict[str, Any]:
+        """The server's description of itself, before anything else is said."""
         self._tell(connection, "hello", {"harness_version": "madviz", "protocol_version": VERSION})
         return self._answer(connection, "hello", "a greeting of vla-eval or openpi")
 
     def begin(self, connection: PolicyConnection, seed: int, task: str) -> None:
+        """An episode begins."""
         self._tell(connection, "episode_start", {"task": {"name": task}, "seed": seed})
 
     def ask(self, connection: PolicyConnection, message: dict[str, Any]) -> dict[str, Any]:
+        """The server's answer to one look."""
         number = self._tell(connection, "observation", message)
         return self._answer(connection, "action", "an action", number)
 
@@ -103,7 +87,7 @@ class VlaEval:
 class OpenPi:
     """See the module."""
 
-    name: Name = "openpi"
+    name: Protocol = "openpi"
 
     def __init__(self, greeting: dict[str, Any] | None = None) -> None:
         """``greeting``: what the server has said already."""
@@ -128,10 +112,13 @@ class OpenPi:
         return found
 
 
-SPEAKERS: dict[Name, type[VlaEval] | type[OpenPi]] = {"vla-eval": VlaEval, "openpi": OpenPi}
+Speaker = VlaEval | OpenPi
+SPEAKERS: dict[Protocol, type[VlaEval] | type[OpenPi]] = {"vla-eval": VlaEval, "openpi": OpenPi}
 
 
-def greeted(connection: PolicyConnection, wanted: Name | None) -> tuple[Speaker, dict[str, Any]]:
+def greeted(
+    connection: PolicyConnection, wanted: Protocol | None
+) -> tuple[Speaker, dict[str, Any]]:
     """Opens ``connection`` and greets the server: the protocol it speaks, ``wanted`` or found out,
     and what it says of itself. Raises UserError."""
     ours = connection.open()
@@ -152,7 +139,7 @@ def identity_in(greeting: dict[str, Any]) -> dict[str, str]:
 
 def look(
     wiring: Wiring,
-    protocol: Name,
+    protocol: Protocol,
     pictures: dict[str, Array],
     state: Array,
     instruction: str,

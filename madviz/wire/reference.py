@@ -8,6 +8,7 @@ A reference goes to worker processes as text, so it carries all that they need t
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,8 @@ def connect(reference: str) -> ServedPolicy:
     written, _, file = reference.partition(MARK)
     address = ServerAddress.of(written)
     wiring = read_wiring(file) if file else None
-    with PolicyConnection(address, wiring.timeout if wiring else 4.0) as connection:
+    timeout = wiring.timeout if wiring else 4.0
+    with closing(PolicyConnection(address, timeout)) as connection:
         speaker, greeting = greeted(connection, wiring.protocol if wiring else None)
     where = address.text
     identity = identity_in(greeting)

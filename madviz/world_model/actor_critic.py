@@ -126,14 +126,6 @@ def act(actor: ActorHead, feature: Tensor, state: Tensor, noise: Tensor) -> tupl
 
 
 @dataclass(frozen=True)
-class Noise:
-    """The random numbers of an imagination of H decisions from B beliefs, uniform in [0, 1)."""
-
-    action: Float[Tensor, "H B A"]
-    latent: Float[Tensor, "H B G"]
-
-
-@dataclass(frozen=True)
 class Imagination:
     """H imagined decisions from each of B beliefs."""
 
@@ -151,35 +143,28 @@ def imagine(
     actor: ActorHead,
     belief: Belief,
     state: Float[Tensor, "B S"],
-    noise: Noise,
+    noise: tuple[Float[Tensor, "H B A"], Float[Tensor, "H B G"]],
     gamma: float,
 ) -> Imagination:
     """Lets the actor go on from ``belief`` and ``state`` in the world model alone. The actor takes
-    what it reads as data; gradients go from rewards through beliefs into actions."""
+    what it reads as data; gradients go from rewards through beliefs into actions. ``noise``,
+    uniform in [0, 1), draws actions and beliefs."""
     features = [belief.feature]
     states = [state]
     entropies = []
-    for drawn, latent in zip(noise.action, noise.latent, strict=True):
+    for drawn, latent in zip(*noise, strict=True):
         action, entropy = act(actor, features[-1].detach(), states[-1].detach(), drawn)
         belief = world.rssm.prior_belief(world.rssm.advance(belief, action), latent)
         features.append(belief.feature)
         states.append(world.predicted_state(belief.feature))
         entropies.append(entropy)
     later = torch.cat(features[1:])  # (H * B, Z)
-    shape = noise.action.shape[:2]
+    shape = noise[0].shape[:2]
     reward = world.predicted_reward(later).view(shape)
     discount = gamma * world.predicted_follows(later).view(shape)
     return Imagination(
         torch.stack(features), torch.stack(states), torch.stack(entropies), reward, discount
     )
-
-
-@dataclass(frozen=True)
-class Course:
-    """T decisions of B samples, and what is believed after each."""
-
-    feature: Float[Tensor, "T B Z"]
-    action: Float[Tensor, "T B A"]
 
 
 def likeliest(
@@ -188,8 +173,9 @@ def likeliest(
     belief: Belief,
     state: Float[Tensor, "B S"],
     decisions: int,
-) -> Course:
-    """Nothing is drawn: the actor's likeliest action, the likeliest belief after it, and so on."""
+) -> tuple[Float[Tensor, "T B Z"], Float[Tensor, "T B A"]]:
+    """T ``decisions``, as the belief after each, and the actions. Nothing is drawn: the actor's
+    likeliest action, the likeliest belief after it, and so on."""
     features = []
     actions = []
     for _ in range(decisions):
@@ -197,7 +183,7 @@ def likeliest(
         belief = world.rssm.prior_belief(world.rssm.advance(belief, actions[-1]), None)
         features.append(belief.feature)
         state = world.predicted_state(belief.feature)
-    return Course(torch.stack(features), torch.stack(actions))
+    return torch.stack(features), torch.stack(actions)
 
 
 def lambda_returns(

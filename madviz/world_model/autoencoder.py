@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from madviz.agent.merges.attention import split_heads
 from madviz.agent.sizes import MOVING
 from madviz.world_model.sizes import AutoencoderConfig
 
@@ -40,8 +41,7 @@ LEAST_KEPT = 0.3
 REWARD_WEIGHT = 0.01
 """Weight of the squared error of the reward's symlog, beside the pictures'."""
 QUESTIONS = 8
-HEADS = 4
-"""Questions that a policy or a world model asks the tokens, and heads that attend to them."""
+"""Questions that a policy or a world model asks the tokens."""
 
 
 @dataclass(frozen=True)
@@ -160,26 +160,20 @@ class TokenReader(nn.Module):
     def forward(self, tokens: Tensor) -> Tensor:
         """(B, K, W) -> (B, 8 W)."""
         query = self.questions.to(tokens.dtype).expand(len(tokens), -1, -1)  # (B, 8, W)
-        query, key, value = map(_split, (query, self.key(tokens), self.value(tokens)))
+        query, key, value = map(split_heads, (query, self.key(tokens), self.value(tokens)))
         return F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(1)
 
 
-def _split(x: Tensor) -> Tensor:
-    """(B, K, W) -> (B, heads, K, W / heads)."""
-    return x.unflatten(-1, (HEADS, -1)).transpose(1, 2)
+def layer(width: int, heads: int) -> nn.TransformerEncoderLayer:
+    """One layer of a transformer, (B, K, W) -> (B, K, W)."""
+    return nn.TransformerEncoderLayer(
+        width, heads, 4 * width, 0.0, "gelu", batch_first=True, norm_first=True
+    )
 
 
 def _layers(config: AutoencoderConfig, count: int) -> nn.TransformerEncoder:
-    layer = nn.TransformerEncoderLayer(
-        config.width,
-        config.heads,
-        4 * config.width,
-        dropout=0.0,
-        activation="gelu",
-        batch_first=True,
-        norm_first=True,
-    )
-    return nn.TransformerEncoder(layer, count, enable_nested_tensor=False)
+    one = layer(config.width, config.heads)
+    return nn.TransformerEncoder(one, count, enable_nested_tensor=False)
 
 
 def _taken(tokens: Tensor, keep: Tensor) -> Tensor:

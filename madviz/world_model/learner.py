@@ -26,7 +26,6 @@ from madviz.types import Array
 from madviz.world_model.actor_critic import (
     BeliefActor,
     BeliefCritic,
-    Noise,
     act,
     imagine,
     imagined_actor_loss,
@@ -281,10 +280,10 @@ class WorldLearner:
     def _uniform(self, *shape: int) -> Tensor:
         return torch.rand(*shape, generator=self._generator).to(self._device)
 
-    def _noise(self, batch: int) -> Noise:
+    def _noise(self, batch: int) -> tuple[Tensor, Tensor]:
         horizon = self.config.horizon
         action = self._uniform(horizon, batch, self.agent.config.action_dim)
-        return Noise(action, self._uniform(horizon, batch, self._groups))
+        return action, self._uniform(horizon, batch, self._groups)
 
     def _step(self, name: str, loss: Tensor) -> None:
         optimiser = self.optimisers[name]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from madviz.agent.merges.base import Foreseen, Heads, Streams
+from madviz.agent.merges.base import Heads, Streams
 from madviz.agent.networks import ActorHead, NetworkConfig
 from madviz.world_model.actor_critic import BeliefActor, BeliefCritic, likeliest
 from madviz.world_model.autoencoder import whole_views
@@ -67,19 +67,19 @@ class WorldNetworks(DrawingMerge):
 
     def foreseen(
         self, actor: ActorHead, features: Tensor, mask: Tensor, state: Tensor, decisions: int
-    ) -> Foreseen:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Pictures are drawn from the tokens that the beliefs predict of all views."""
         world = self.world
         model = self.autoencoder
         belief = self.belief(self.present(features, mask.bool())[None])
-        course = likeliest(world, actor, belief, state, decisions)
-        later = course.feature.flatten(0, 1)  # (T * B, Z)
+        beliefs, action = likeliest(world, actor, belief, state, decisions)
+        later = beliefs.flatten(0, 1)  # (T * B, Z)
         every = whole_views(torch.ones_like(mask, dtype=torch.bool), model.tokens_of_a_view)
         tokens = world.predicted_features(later)  # (T * B, M, W)
         drawn = model.draw(tokens, every.expand(len(tokens), -1)).pictures.clamp(0, 1)
         reward = world.predicted_reward(later)
-        shape = course.feature.shape[:2]
-        return Foreseen(drawn.unflatten(0, shape), reward.view(shape), course.action)
+        shape = beliefs.shape[:2]
+        return drawn.unflatten(0, shape), reward.view(shape), action
 
     def feature_of_each(self, features: Tensor) -> Tensor:
         """Every stream's own tokens of the newest frame, before they have seen others."""

@@ -33,8 +33,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from madviz.agent.merges.attention import HEADS
 from madviz.agent.sizes import NetworkConfig
-from madviz.world_model.autoencoder import QUESTIONS, TokenReader, symlog
+from madviz.world_model.autoencoder import QUESTIONS, TokenReader, layer, symlog
 from madviz.world_model.rssm import Belief, Rssm, balanced_kl, joined, mlp
 from madviz.world_model.sizes import MvMwmOptions
 
@@ -76,7 +77,7 @@ class WorldModel(nn.Module):
         width = options.autoencoder.width
         self.shape = (tokens, width)
         self.narrow = nn.Linear(width, sizes.reader_width)
-        layers = [_layer(sizes.reader_width) for _ in range(sizes.reader_layers)]
+        layers = [layer(sizes.reader_width, HEADS) for _ in range(sizes.reader_layers)]
         self.layers = nn.Sequential(*layers)
         self.reader = TokenReader(sizes.reader_width)
         self.rssm = Rssm(sizes, QUESTIONS * sizes.reader_width, config.action_dim)
@@ -131,12 +132,6 @@ class WorldModel(nn.Module):
             belief = self.rssm.prior_belief(self.rssm.advance(belief, done), drawn)
             guessed.append(belief)
         return guessed
-
-
-def _layer(width: int) -> nn.Module:
-    return nn.TransformerEncoderLayer(
-        width, 4, 4 * width, 0.0, "gelu", batch_first=True, norm_first=True
-    )
 
 
 def world_model_losses(

@@ -11,7 +11,6 @@ call gives the same numbers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Integer, Shaped, UInt8
@@ -28,16 +27,6 @@ Precision = Callable[[], torch.autocast]
 _IMAGES_AT_ONCE = 192
 """On a CPU the allocator recycles temporaries of this size; it returns larger ones to the system
 and allocates them again page by page: 768 images take half the time in four parts."""
-
-
-@dataclass(frozen=True)
-class Foreseen:
-    """T imagined decisions of B samples."""
-
-    pictures: Float[Tensor, "T B V 3 H W"]
-    """After each decision, from 0 to 1."""
-    reward: Float[Tensor, "T B"]
-    action: Float[Tensor, "T B A"]
 
 
 class Merge(nn.Module):
@@ -142,8 +131,10 @@ class Merge(nn.Module):
 
     def foreseen(
         self, actor: ActorHead, features: Tensor, mask: Tensor, state: Tensor, decisions: int
-    ) -> Foreseen:
-        """The likeliest course, begun from the state (B, S) and the streams in ``mask`` (V,)."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The likeliest course of T ``decisions``, begun from the state (B, S) and the streams in
+        ``mask`` (V,): pictures after each, (T, B, V, 3, H, W) from 0 to 1, rewards (T, B), and
+        actions (T, B, A)."""
         raise NotImplementedError
 
 

@@ -73,14 +73,6 @@ def drawn(masks: Tensor, keys: Tensor) -> Tensor:
     return keys[:, None].masked_fill(~masks.bool(), -torch.inf).argmax(-1)
 
 
-def draw_rows(features: Tensor, masks: Tensor, keys: Noise) -> Tensor:
-    """[s_i, p_j] of every subset: (B, V, 100), (N, V), (2, V) -> (N, B, 100)."""
-    assert keys is not None
-    shared, private = split(features)
-    i, j = drawn(masks, keys)
-    return torch.cat([shared[:, i], private[:, j]], -1).transpose(0, 1)
-
-
 def shared_loss(anchor: Tensor, positive: Tensor, private: Tensor) -> Tensor:
     """s_a (B, Z), s_p (B, Z), private parts of all views (B, V, Z) -> scalar."""
     positive = positive.detach()
@@ -143,7 +135,11 @@ class TwoPartEncoder(Merge):
         return each_stream(self, views)  # (B, V, 100)
 
     def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
-        return draw_rows(features, masks, noise)
+        """[s_i, p_j] of every subset: (B, V, 100), (N, V), (2, V) -> (N, B, 100)."""
+        assert noise is not None
+        shared, private = split(features)
+        i, j = drawn(masks, noise)
+        return torch.cat([shared[:, i], private[:, j]], -1).transpose(0, 1)
 
     def encode_and_merge(
         self, views: Tensor, masks: Tensor, noise: Noise = None

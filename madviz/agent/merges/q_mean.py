@@ -23,22 +23,11 @@ from madviz.agent.merges.base import Heads, Noise, SharedCnn
 from madviz.agent.networks import Actor, ActorHead, Critic, CriticHead, NetworkConfig
 
 
-def pack(features: Tensor, masks: Tensor) -> Tensor:
-    """(B, V, Z), (N, V) -> (N, B, V, Z + 1): features of present views, and who is present."""
-    present = masks.to(features.dtype)[:, None, :, None].expand(-1, len(features), -1, 1)
-    return torch.cat([features * present, present], -1)
-
-
 def mean_of_present(values: Tensor, present: Tensor) -> Tensor:
     """(..., V, K), (..., V) of 0 and 1 -> (..., K)."""
     weights = present.to(values.dtype)
     total = (values * weights[..., None]).sum(-2)
     return total / weights.sum(-1, keepdim=True).clamp(min=1)
-
-
-def mean_feature(rows: Tensor) -> Tensor:
-    """(..., V, Z + 1) -> (..., Z), for showing only: nothing is merged before the heads."""
-    return mean_of_present(rows[..., :-1], rows[..., -1])
 
 
 class PerViewActor(ActorHead):
@@ -90,7 +79,10 @@ class QMean(SharedCnn):
         return PerViewActor(config), PerViewCritic(config)
 
     def rows(self, features: Tensor, masks: Tensor, noise: Noise = None) -> Tensor:
-        return pack(features, masks)
+        """(B, V, Z), (N, V) -> (N, B, V, Z + 1): features of present views, and who is present."""
+        present = masks.to(features.dtype)[:, None, :, None].expand(-1, len(features), -1, 1)
+        return torch.cat([features * present, present], -1)
 
     def merged_feature(self, rows: Tensor) -> Tensor:
-        return mean_feature(rows)
+        """(..., V, Z + 1) -> (..., Z), for showing only: nothing is merged before the heads."""
+        return mean_of_present(rows[..., :-1], rows[..., -1])

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from madviz.envs.cameras import look_at, standing_camera
 from madviz.envs.checks import check_action
-from madviz.envs.maniskill.experts import ManiSkillExpert
+from madviz.envs.maniskill.experts import expert_action
 from madviz.envs.maniskill.tasks import PLACES, STATE_DIM, build, places, position, states
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import PlacedCameras, drawn_cameras
@@ -102,7 +102,6 @@ class ManiSkill(PlacedCameras):
         renderer()
         spec = self.describe(task, render_profile, cameras)
         self._task = task
-        self._expert = ManiSkillExpert(task)
         self.simulation = build(task)
         super().__init__(spec, list(self.simulation.agent.robot.links_map))
         self._step = 0
@@ -152,14 +151,14 @@ class ManiSkill(PlacedCameras):
 
     @property
     def place_names(self) -> tuple[str, ...]:
-        """See ``madviz.types.NamesPlaces``: ManiSkill's own names."""
+        """(P,) ManiSkill's own names of ``places``, in their order."""
         return PLACES[self._task]
 
     def places(self) -> Array:
         return places(self._task, self.simulation)
 
     def expert(self) -> Array:
-        return self._expert.action(self.simulation)
+        return expert_action(self._task, self.simulation)
 
     def close(self) -> None:
         if self._copy is not None:

@@ -54,18 +54,13 @@ GRIPPER_IS_OPEN = 0.035
 """Metres of one finger; 0.04 is all the way."""
 
 
-class ManiSkillExpert:
-    """The script of one task; ``simulation`` is the running one."""
-
-    def __init__(self, task: str) -> None:
-        self._script = _SCRIPTS[task]
-
-    def action(self, simulation: Any) -> Array:
-        """(4,) float32 in [-1, 1]: tool point x, y, z and gripper."""
-        action = np.clip(self._script(simulation), -1, 1).astype(np.float32)
-        if position(simulation.agent.tcp)[0] > FAR_OUT:
-            action[:3] *= min(1.0, FAR_OUT_LIMIT / max(action[0], 1e-9))
-        return action
+def expert_action(task: str, simulation: Any) -> Array:
+    """(4,) float32 in [-1, 1]: tool point x, y, z and gripper, by the script of ``task``, of which
+    ``simulation`` is the running one. Raises KeyError for a task without a script."""
+    action = np.clip(_SCRIPTS[task](simulation), -1, 1).astype(np.float32)
+    if position(simulation.agent.tcp)[0] > FAR_OUT:
+        action[:3] *= min(1.0, FAR_OUT_LIMIT / max(action[0], 1e-9))
+    return action
 
 
 def _towards(error: Array, gripper: float, limit: float = 1.0, gain: float = GAIN) -> Array:

@@ -14,13 +14,13 @@ from madviz.measure.audit.sentences import (
     change,
     deciding,
     in_words,
+    measured,
     planned,
 )
-from madviz.measure.blocks import Block
+from madviz.measure.blocks import Block, ending
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
-from madviz.policies.seeds import use_of
 
 HOW_TO_READ = (
     "Success counts at the last step of an episode. All conditions met the same scenes, so that a "
@@ -42,6 +42,8 @@ HOW_TO_READ = (
 def account(found: AuditFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
     """All blocks; ``command`` makes the audit again, ``pairs`` show episodes that turned."""
     clipped = clipped_words(found.get("outside", 0.0))
+    heads = (*CONDITION_HEADS, "guarded", "noticed") if "guarded" in found else CONDITION_HEADS
+    looks = ", ".join(map(str, found["looks"])) + " episodes"
     return [
         Block("h1", [f"Does {found['policy']} use its cameras?"]),
         Block("words", in_words(found)),
@@ -55,22 +57,13 @@ def account(found: AuditFile, command: str, pairs: Sequence[Block] = ()) -> list
         Block("svg", [rates_picture(found)]),
         *_shapley(found),
         Block("h2", ["Every condition"]),
-        Block("table", _heads(found), [_condition_row(found, r) for r in found["conditions"]]),
-        Block("h2", ["How to read this"]),
-        Block("list", HOW_TO_READ),
-        Block("h2", ["What was measured"]),
-        Block("table", ("", ""), _facts(found)),
-        Block("h2", ["To make it again"]),
-        Block("code", [command]),
+        Block("table", heads, [_condition_row(found, r) for r in found["conditions"]]),
+        *ending(HOW_TO_READ, [*measured(found), ("looks", looks)], command),
     ]
 
 
 VERDICT_HEADS = ("camera", "verdict", "without it", "p", "alone", "alone against none", "p")
 CONDITION_HEADS = ("cameras", "how", "success", "against all cameras", "p")
-
-
-def _heads(found: AuditFile) -> tuple[str, ...]:
-    return (*CONDITION_HEADS, "guarded", "noticed") if "guarded" in found else CONDITION_HEADS
 
 
 def _verdict_rows(found: AuditFile) -> list[list[str]]:
@@ -147,17 +140,3 @@ def rates_picture(found: AuditFile) -> str:
 def _bar(row: ConditionRow) -> figures.Bar:
     rate = _rate(row)
     return figures.Bar(rate.value, *rate.interval)
-
-
-def _facts(found: AuditFile) -> list[tuple[str, str]]:
-    n = found["intact"]["n"]
-    seed = found["seed"]
-    used = range(seed, seed + n)
-    return [
-        ("policy", found["policy"]),
-        ("digest", found["digest"] or "none"),
-        ("task", found["task"]),
-        ("a success is", found["definition"]),
-        ("seeds", f"{used[0]} to {used[-1]} ({use_of(used)})"),
-        ("looks", ", ".join(map(str, found["looks"])) + " episodes"),
-    ]

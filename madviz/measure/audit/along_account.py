@@ -7,12 +7,11 @@ import io
 from collections.abc import Sequence
 
 from madviz.measure.audit.along import AlongFile, AxisRow, SideRow
-from madviz.measure.audit.sentences import FAILS
-from madviz.measure.blocks import Block
+from madviz.measure.audit.sentences import FAILS, measured
+from madviz.measure.blocks import Block, ending
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
 from madviz.plots.figures import Line, lines
-from madviz.policies.seeds import use_of
 
 HOW_TO_READ = (
     "Success counts at the last step of an episode. Every scene was played with nothing changed "
@@ -79,7 +78,6 @@ def at(unit: str, value: float) -> str:
 
 def along_account(found: AlongFile, command: str, pairs: Sequence[Block] = ()) -> list[Block]:
     """All blocks; ``command`` makes the audit again, ``pairs`` show episodes that turned."""
-    seeds = range(found["seed"], found["seed"] + found["intact"]["n"])
     return [
         Block("h1", [f"How much is too much for {found['policy']}?"]),
         Block("words", along_words(found)),
@@ -87,22 +85,7 @@ def along_account(found: AlongFile, command: str, pairs: Sequence[Block] = ()) -
         *pairs,
         Block("h2", ["Every side"]),
         Block("table", HEADS, _rows(found)),
-        Block("h2", ["How to read this"]),
-        Block("list", HOW_TO_READ),
-        Block("h2", ["What was measured"]),
-        Block(
-            "table",
-            ("", ""),
-            [
-                ("policy", found["policy"]),
-                ("digest", found["digest"] or "none"),
-                ("task", found["task"]),
-                ("a success is", found["definition"]),
-                ("seeds", f"{seeds[0]} to {seeds[-1]} ({use_of(seeds)})"),
-            ],
-        ),
-        Block("h2", ["To make it again"]),
-        Block("code", [command]),
+        *ending(HOW_TO_READ, measured(found), command),
     ]
 
 

@@ -34,7 +34,7 @@ from madviz.measure.audit.along import EPISODES as ALONG_EPISODES
 from madviz.measure.audit.along import AlongFile, along
 from madviz.measure.audit.along_account import along_account, along_csv, along_words
 from madviz.measure.audit.audited_policy import FILE, check_same_policy, repeats_itself
-from madviz.measure.audit.document import AuditFile, audit_document, facts_of
+from madviz.measure.audit.document import AuditFile, audit_document
 from madviz.measure.audit.guarded import guarded_rows
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras, How
 from madviz.measure.audit.recorded import RecordedAudit, RecordedAuditFile, recorded_audit
@@ -57,6 +57,7 @@ from madviz.recorded.robot import robot_of
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
+from madviz.system.options import changed, words_for
 from madviz.types import Policy
 from madviz.wire.reference import with_wire
 
@@ -144,9 +145,8 @@ def audit(
         table.play(wanted, workers, progress)
     try:
         env, _ = table.runner.opened(table.job(INTACT, 0))
-        facts = facts_of(loaded.spec, env.spec)
-        facts["outside"] = table.outside(plan.every)
-        document = audit_document(plan, outcomes(), facts)
+        outside = table.outside(plan.every)
+        document = audit_document(plan, outcomes(), loaded.spec, env.spec, outside)
         if guarded is not None:
             seeds = plan.seeds(document["intact"]["n"])
             other, with_guard = Table.opened(guarded, store or Store(MEMORY), own=True)
@@ -310,30 +310,19 @@ def _check_folder(config: AuditConfig, policy: Policy) -> None:
 def command(config: AuditConfig, given_away: bool = True) -> str:
     """The command line that makes the audit again, without secrets; if it is ``given_away``, with
     the last part alone of every path."""
-    policy = checkpoint.shown(config.policy) if given_away else without_secrets(config.policy)
-    out = config.out.name if given_away else str(config.out)
-    words = ["madviz", "audit", "--policy", policy]
-    if config.wire:
-        words += ["--wire", config.wire.name if given_away else str(config.wire)]
-    words += ["--guard"] if config.guard else []
-    if not given_away:
-        words += ["--trust"] if config.trust else []
-        words += ["--workers", str(config.workers)] if config.workers is not None else []
-        words += ["--json", config.json] if config.json else []
-    if config.recording is not None:
-        words += ["--recording", config.recording.name if given_away else str(config.recording)]
-        words += ["--episodes", str(config.episodes)] if config.episodes else []
-        words += ["--how", *config.how] if config.how != HOWS else []
-        return shlex.join([*words, "--out", out])
-    if config.task is not None:
-        words += ["--task", config.task]
-    most = config.episodes or (ALONG_EPISODES if config.along else MOST)
-    words += ["--episodes", str(most), "--seed", str(config.seed)]
-    words += ["--along", *config.along] if config.along else []
-    words += ["--pairs", str(config.pairs)] if config.pairs != AuditConfig.pairs else []
-    if config.how != HOWS:
-        words += ["--how", *config.how]
-    return shlex.join([*words, "--out", out])
+    shown = replace(config, trust=False, workers=None, json=None) if given_away else config
+    usual = AuditConfig("", config.out, seed=-1)  # The seed is said, also the default one.
+    if config.recording is None:
+        most = config.episodes or (ALONG_EPISODES if config.along else MOST)
+        shown = replace(shown, episodes=most)
+    else:
+        usual = replace(usual, seed=config.seed, pairs=config.pairs)  # They say nothing there.
+    asked = changed(shown, usual)
+    asked["policy"] = (checkpoint.shown if given_away else without_secrets)(config.policy)
+    asked["out"] = config.out
+    if given_away:
+        asked = {k: v.name if isinstance(v, Path) else v for k, v in asked.items()}
+    return shlex.join(["madviz", "audit", *words_for(asked)])
 
 
 def audit_words(found: AuditFile | AlongFile | RecordedAuditFile) -> str:

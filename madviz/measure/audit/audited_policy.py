@@ -52,11 +52,12 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
     """Writes policy.json into the folder ``out``, or compares. Raises UserError where the audit in
     ``out`` began with another policy or another seed."""
     before = _begun(out)
+    served = isinstance(policy, ServedPolicy)
     now: AuditedPolicy = {
         "schema": 1,
         "policy": policy.spec.name,
         "digest": policy.spec.digest,
-        "identity": policy.identity if isinstance(policy, ServedPolicy) else {},
+        "identity": policy.identity if served else {},
         "answer": None,
         "seed": seed,
     }
@@ -64,7 +65,8 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
     _compare(out, "policy that says", before.get("identity"), now["identity"])
     _compare(out, "policy and wiring with the digest", before.get("digest"), now["digest"])
     _compare(out, "--seed", before.get("seed"), seed)
-    now["answer"] = None if _has_digest(policy) else repeated_answer(policy)
+    has_digest = policy.has_digest if served else bool(policy.spec.digest)  # Of the weights.
+    now["answer"] = None if has_digest else repeated_answer(policy)
     known = before.get("answer")
     if known is not None and now["answer"] is not None:
         if np.shape(known) != np.shape(now["answer"]) or not _agree(known, now["answer"]):
@@ -130,13 +132,6 @@ def _begun(out: Path) -> dict[str, Any]:
             document = read_json(out / name)
             return document if isinstance(document, dict) else {}
     return {}
-
-
-def _has_digest(policy: Policy) -> bool:
-    """True where the digest is that of the weights."""
-    if isinstance(policy, ServedPolicy):
-        return policy.has_digest
-    return bool(policy.spec.digest)
 
 
 def _compare(out: Path, what: str, before: object, now: object) -> None:

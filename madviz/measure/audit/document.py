@@ -105,30 +105,11 @@ class AuditFile(TypedDict):
     verdict: dict[str, str]
 
 
-class AuditFacts(TypedDict):
-    """The facts about policy and task that a document takes over."""
-
-    policy: str
-    task: str
-    digest: str
-    definition: str
-    labels: dict[str, str]
-    outside: NotRequired[float]
-
-
-def facts_of(policy: PolicySpec, env: EnvSpec) -> AuditFacts:
-    """The facts of an audit of ``policy`` in ``env``."""
-    return {
-        "policy": policy.name,
-        "task": policy.task,
-        "digest": policy.digest,
-        "definition": definition_of(env),
-        "labels": {camera.name: camera.label for camera in env.cameras},
-    }
-
-
-def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> AuditFile:
-    """The document of an audit that is done. Raises UserError before the end."""
+def audit_document(
+    plan: AuditPlan, outcomes: Outcomes, policy: PolicySpec, env: EnvSpec, outside: float
+) -> AuditFile:
+    """The document of an audit of ``policy`` in ``env`` that is done; ``outside`` is as in the
+    document. Raises UserError before the end."""
     end = plan.stopped(outcomes)
     if end is None or plan.wanted(outcomes):
         raise UserError("expected an audit that is done, found episodes missing; run it to the end")
@@ -139,17 +120,18 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
     deciding = {name: cameras.deciding(name) for name in cameras.names}
     smallest = plan.detectable
     dropped = not any(condition.occlusions for condition in cameras.sets())
-    document: AuditFile = {
+    labels = {camera.name: camera.label for camera in env.cameras}
+    return {
         "schema": 1,
-        "policy": facts["policy"],
-        "task": facts["task"],
-        "digest": facts["digest"],
-        "definition": facts["definition"],
+        "policy": policy.name,
+        "task": policy.task,
+        "digest": policy.digest,
+        "definition": definition_of(env),
         "seed": plan.seed,
         "episodes": plan.episodes,
         "looks": [each.episodes for each in plan.looks],
         "detectable": None if np.isnan(smallest) else round(smallest, 4),
-        "labels": {name: facts["labels"].get(name, name) for name in cameras.names},
+        "labels": {name: labels.get(name, name) for name in cameras.names},
         "intact": SuccessRate.counted(seen[INTACT]).row(),
         "conditions": _rows(plan, seen, look, judgement),
         "occluded": _occluded(plan, seen, look),
@@ -163,10 +145,8 @@ def audit_document(plan: AuditPlan, outcomes: Outcomes, facts: AuditFacts) -> Au
             name: VERDICTS[int(code)]
             for name, code in zip(cameras.names, judgement.verdict, strict=True)
         },
+        "outside": outside,
     }
-    if "outside" in facts:
-        document["outside"] = facts["outside"]
-    return document
 
 
 def _rows(plan: AuditPlan, seen: Seen, look: Look, judgement: Judgement) -> list[ConditionRow]:

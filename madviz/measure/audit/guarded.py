@@ -12,9 +12,8 @@ from typing import TypedDict
 
 import numpy as np
 
-from madviz.measure.audit.lost_cameras import INTACT, AuditRow, Cameras
+from madviz.measure.audit.lost_cameras import INTACT, Cameras
 from madviz.measure.statistics import SuccessRate
-from madviz.measure.store import EpisodeResult
 from madviz.measure.table import Table
 from madviz.observation.condition import Condition
 from madviz.policies.measured import RateRow
@@ -37,33 +36,24 @@ class GuardedRows(TypedDict):
     """By camera and way of breaking."""
 
 
-def broken_rows(cameras: Cameras) -> list[AuditRow]:
-    """The rows in which one camera is broken, and the others are intact."""
-    return [row for row in cameras.rows() if row.what == "removed" and row.how != "dropped"]
-
-
 def guarded_rows(
     table: Table, cameras: Cameras, seeds: range, workers: int | None, progress: bool, note: str
 ) -> GuardedRows:
     """Plays what is missing in ``table``, the episodes of the guarded policy. Raises UserError as
     ``Table.play`` does."""
-    rows = broken_rows(cameras)
+    rows = [row for row in cameras.rows() if row.what == "removed" and row.how != "dropped"]
     conditions = [INTACT, *(row.condition for row in rows)]
     table.play([(each, seed) for seed in seeds for each in conditions], workers, progress)
 
     def known(condition: Condition) -> GuardedRow:
-        results = table.results(condition)
-        return _row([results[seed] for seed in seeds])
+        results = [table.results(condition)[seed] for seed in seeds]
+        rate = SuccessRate.counted(result.success for result in results)
+        return {**rate.row(), "noticed": [result.noticed for result in results]}
 
     broken: dict[str, dict[str, GuardedRow]] = {}
     for row in rows:
         broken.setdefault(str(row.camera), {})[row.how] = known(row.condition)
     return {"note": note, "intact": known(INTACT), "broken": broken}
-
-
-def _row(results: Sequence[EpisodeResult]) -> GuardedRow:
-    rate = SuccessRate.counted(result.success for result in results)
-    return {**rate.row(), "noticed": [result.noticed for result in results]}
 
 
 def noticed_words(noticed: Sequence[int | None]) -> str:

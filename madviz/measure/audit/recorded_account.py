@@ -14,7 +14,7 @@ from madviz.measure.audit.recorded import (
     RecordedRow,
 )
 from madviz.measure.audit.sentences import HOW_WORDS
-from madviz.measure.blocks import Block
+from madviz.measure.blocks import Block, ending
 
 FEW = 10
 """Episodes; intervals of fewer are coarse."""
@@ -84,12 +84,7 @@ def recorded_account(found: RecordedAuditFile, command: str, source: list[str]) 
         Block("table", moments, [_moment(found, one, source) for one in found["moments"]]),
         Block("h2", ["Every condition"]),
         Block("table", heads, [_condition(found, row) for row in _different(found)]),
-        Block("h2", ["How to read this"]),
-        Block("list", HOW_TO_READ),
-        Block("h2", ["What was measured"]),
-        Block("table", ("", ""), _facts(found)),
-        Block("h2", ["To make it again"]),
-        Block("code", [command]),
+        *ending(HOW_TO_READ, _facts(found), command),
     ]
 
 

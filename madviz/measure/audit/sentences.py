@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+from madviz.measure.audit.along import AlongFile
 from madviz.measure.audit.document import AuditFile, ConditionRow, DifferenceRow
 from madviz.measure.audit.guarded import alarms_words, noticed_words
 from madviz.measure.audit.verdict import LEVEL, MARGIN
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
+from madviz.policies.seeds import use_of
 
 HOW_WORDS = {
     "dropped": "dropped",
@@ -18,6 +20,13 @@ HOW_WORDS = {
     "frozen": "frozen",
 }
 """Names of the ways in which a camera is away."""
+OCCLUDED = {
+    "black": "black",
+    "mean": "sending its mean picture",
+    "noise": "sending noise",
+    "frozen": "frozen from the start",
+}
+"""The words for a camera that is away in each of these ways, in a sentence."""
 MEANING = {
     "needed": "success falls significantly without it, and is shown to fall by half or more",
     "used": "success falls significantly without it; a loss of half or more is not shown",
@@ -60,6 +69,18 @@ def plan_words(episodes: int, smallest: float | None, played: int | None = None)
     )
     stop = "" if played in (None, episodes) else f" It stopped after {played}: all was decided."
     return f"Planned: {episodes} episodes of each condition; {seen}.{stop}"
+
+
+def measured(found: AuditFile | AlongFile) -> list[tuple[str, str]]:
+    """The facts of an audit, for the table of its page."""
+    seeds = range(found["seed"], found["seed"] + found["intact"]["n"])
+    return [
+        ("policy", found["policy"]),
+        ("digest", found["digest"] or "none"),
+        ("task", found["task"]),
+        ("a success is", found["definition"]),
+        ("seeds", f"{seeds[0]} to {seeds[-1]} ({use_of(seeds)})"),
+    ]
 
 
 def points(share: float, sign: bool = False) -> str:
@@ -135,7 +156,7 @@ def _occluded(found: AuditFile) -> list[str]:
             subject = HOW_WORDS[how].capitalize()
             lines.append(
                 f"{subject} is not dropped: with {found['labels'][worst['camera']]} "
-                f"{_predicate(how)}, success is {rates[how]:.2f}; with it dropped, "
+                f"{OCCLUDED[how]}, success is {rates[how]:.2f}; with it dropped, "
                 f"{rates['dropped']:.2f}."
             )
     return lines
@@ -171,12 +192,3 @@ def _guarded(found: AuditFile) -> list[str]:
 def broken(row: ConditionRow) -> bool:
     """True where one camera is broken and the others are intact."""
     return row["what"] == "removed" and row["how"] != "dropped"
-
-
-def _predicate(how: str) -> str:
-    return {
-        "black": "black",
-        "mean": "sending its mean picture",
-        "noise": "sending noise",
-        "frozen": "frozen from the start",
-    }[how]

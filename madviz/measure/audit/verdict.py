@@ -91,15 +91,6 @@ class PairedOutcomes:
     floor: Array
     """(..., C, n) with no camera, in the way that ``alone`` leaves the others out."""
 
-    def first(self, episodes: int) -> PairedOutcomes:
-        """The first ``episodes`` of each."""
-        return PairedOutcomes(
-            intact=self.intact[..., :episodes],
-            removed=self.removed[..., :episodes],
-            alone=self.alone[..., :episodes],
-            floor=self.floor[..., :episodes],
-        )
-
 
 @dataclass(frozen=True)
 class Judgement:
@@ -120,21 +111,21 @@ class Judgement:
 
 
 def judged(outcomes: PairedOutcomes, look: Look) -> Judgement:
-    """The verdict of every camera at ``look``, from the episodes up to it."""
-    seen = outcomes.first(look.episodes)
-    intact = np.broadcast_to(seen.intact[..., None, :], seen.removed.shape)
-    fall = table(intact, seen.removed)
-    gain = table(seen.alone, seen.floor)
+    """The verdict of every camera at ``look``, from the ``outcomes`` of the episodes up to it."""
+    removed = outcomes.removed
+    intact = np.broadcast_to(outcomes.intact[..., None, :], removed.shape)
+    fall = table(intact, removed)
+    gain = table(outcomes.alone, outcomes.floor)
     p = np.stack([mcnemar(t[1], t[2]) for t in (fall, gain)], -1)
     flat = holm(p.reshape(*p.shape[:-2], -1)).reshape(p.shape)
     flat = np.minimum(flat * (LEVEL / look.share), 1.0)
     falls = (flat[..., 0] <= LEVEL) & (fall[1] > fall[2])
     gains = (flat[..., 1] <= LEVEL) & (gain[1] > gain[2])
-    confidence = look.confidence(seen.removed.shape[-2])
+    confidence = look.confidence(removed.shape[-2])
     # Above 0 where more than half is lost, below where less.
-    low, high = agresti_min(0.5 * intact - seen.removed, confidence)
+    low, high = agresti_min(0.5 * intact - removed, confidence)
     verdict = np.where(falls & (low > 0), 3, np.where(falls, 2, np.where(gains, 1, 0)))
-    change = newcombe(*table(seen.removed, intact), confidence)
+    change = newcombe(*table(removed, intact), confidence)
     gained = newcombe(*gain, confidence)
     settled = np.where(falls, (low > 0) | (high < 0), within(change) & (gains | within(gained)))
     return Judgement(verdict, settled, change, flat[..., 0], flat[..., 1])
