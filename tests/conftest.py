@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+
+# Set before anything imports NumPy or torch, which read them only then. Tests run side by side, and
+# their networks are too small to share out: waiting for the other core costs more.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from jaxtyping import install_import_hook
@@ -17,11 +23,15 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 @pytest.fixture(autouse=True)
-def _seeded() -> None:
-    """Networks that a test makes are the same whichever tests ran before it."""
+def _seeded() -> Iterator[None]:
+    """Networks that a test makes are the same whichever tests ran before it. A training chooses its
+    own number of threads; it is one again when the next test begins, or the next module."""
     import torch
 
     torch.manual_seed(0)
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(1)
 
 
 @pytest.fixture

@@ -16,9 +16,10 @@ import viser
 from madviz.app.access import Gate
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.server import Address, App
-from madviz.app.users import Limits
+from madviz.app.server import App
+from madviz.app.users import Limits, Users
 from madviz.envs.registry import make_env
+from madviz.session.live_session import LiveSession
 from madviz.session.session import Session
 from tests.fakes import policies
 
@@ -138,13 +139,31 @@ def await_that(happened: Callable[[], object], patience: float = 20.0) -> None:
     """Waits until ``happened`` is true; fails after ``patience`` seconds."""
     deadline = time.monotonic() + patience
     while not happened():
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.01)
+
+
+def until(happened: Callable[[], object], patience: float = 60.0) -> None:
+    """``await_that`` for visitors of a page, who come and go beside other tests."""
+    await_that(happened, patience)
 
 
 def choices_of(*names: str) -> list[PolicyChoice]:
     """Policies of ``tests.fakes`` as a page offers them."""
     return [PolicyChoice(name, name) for name in names]
+
+
+def seats(users: Users) -> tuple[int, int, int]:
+    """Pages with the controls of a simulation, pages that watch one, browsers without a place."""
+    with users._lock:
+        owners = sum(visit.owner for visit in users._visits.values())
+        return owners, len(users._visits) - owners, len(users._queue)
+
+
+def sessions_shown(users: Users) -> dict[int, LiveSession]:
+    """By the number of its browser, the session that each page shows."""
+    with users._lock:
+        return {number: visit.session for number, visit in users._visits.items()}
 
 
 def fake_app(
@@ -155,4 +174,4 @@ def fake_app(
     def new_session() -> Session:
         return Session(make_env, policies(names[0]), policies, speed=speed)
 
-    return App(new_session, Shared(choices_of(*names)), Address(gate=gate), limits)
+    return App(new_session, Shared(choices_of(*names)), limits, gate=gate)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -81,10 +80,3 @@ def assert_done_once(out: Path, rounds: int) -> None:
         assert (folder / "result.json").is_file()
         assert lines(folder, "steps.txt") == [str(step) for step in range(rounds)], folder
         assert lines(folder, "trained.txt") == lines(folder, "evaluated.txt") == ["once"]
-
-
-def wait_for(condition: Any, seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.02)

@@ -13,10 +13,9 @@ from madviz.app.tour_steps import comparison_steps, restored, steps, whole
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.policies.checkpoint import describe
-from madviz.session.commands import Reset, SetPolicy
+from madviz.session.commands import Command, Compare, Play, Reset, Scrub, SetPolicy
 from madviz.session.comparison import tally
-from madviz.session.frame import Outcome, Pair
-from madviz.types import PolicySpec
+from madviz.session.frame import Frame, Outcome, Pair
 from tests.checkpoints import measure, saved
 from tests.fakes import FakePolicy
 from tests.pages import recorded
@@ -26,9 +25,11 @@ OWN, SHIPPED = FakePolicy("toy-mad", seed=3), FakePolicy("toy-mad")
 """A training of one's own, and the shipped policy of the same name."""
 
 
-def own_folder(spec: PolicySpec) -> str:
-    """A reference, as the server's."""
-    return "runs/mine" if spec == OWN.spec else spec.name
+def acts_by_its_folder(*commands: Command) -> Frame:
+    """The frame after ``commands``, where the policy of one's own was loaded by its folder."""
+    session = Recorder(SHIPPED, load=lambda name: OWN)
+    session.at(0.0)
+    return session.ask(SetPolicy("runs/mine"), *commands)
 
 
 def test_shipped_rates_are_those_of_the_folder_and_its_weights(tmp_path: Path) -> None:
@@ -47,21 +48,33 @@ def test_a_policy_of_ones_own_is_not_taken_for_the_shipped_one_of_its_name(serve
     sent: list = []
     choices = [PolicyChoice("runs/mine", "runs/mine"), PolicyChoice("toy-mad", "MAD")]
     gui = recorded(server.gui)
-    frame = frame_with(policy=OWN)
-    panel = PolicyPanel(gui, sent.append, frame, choices, own_folder)
+    frame = acts_by_its_folder()
+    panel = PolicyPanel(gui, sent.append, frame, choices)
     assert gui.find("Policy").value == "runs/mine"
     apply(panel.update(frame_with(policy=SHIPPED)))
     assert gui.find("Policy").value == "MAD"
     apply(panel.update(frame))
     assert gui.find("Policy").value == "runs/mine"
     panel.remove()
-    for commands in (whole(frame, own_folder), restored(frame, named=own_folder)):
+    for commands in (whole(frame), restored(frame)):
         assert SetPolicy("runs/mine") in commands
-    for step in (*steps(frame, choices, own_folder), *comparison_steps(frame, "b", own_folder)):
+    for step in (*steps(frame, choices), *comparison_steps(frame, "b")):
         assert SetPolicy("toy-mad") not in step.commands
     assert "audit --policy runs/mine --along first.pan=0:5 " in move_html(
-        frame_with(MoveCamera("first", Displacement(pan=5)), policy=OWN), own_folder
+        acts_by_its_folder(MoveCamera("first", Displacement(pan=5)))
     )
+
+
+def test_a_step_that_is_looked_back_at_has_the_policy_of_then():
+    session = Recorder(SHIPPED, load=lambda name: OWN)
+    session.steps(2)
+    assert session.ask(SetPolicy("runs/mine")).world.reference == "runs/mine"
+    session.steps(2)
+    back = session.ask(Scrub(1)).world
+    assert (back.policy, back.reference) == (SHIPPED.spec, "toy-mad")
+    again = session.ask(Play(), SetPolicy("runs/copy"), Compare("runs/copy"))
+    assert again.second is not None
+    assert again.world.reference == again.second.world.reference == "runs/mine", "the first name"
 
 
 def test_an_episode_of_two_policies_of_one_name_has_no_condition():

@@ -17,7 +17,7 @@ from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel, switched
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
-from madviz.app.panels.subsets import SubsetsPanel, distances, presence, subsets_html
+from madviz.app.panels.subsets import SubsetsPanel, presence, subsets_html
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.words import Prediction, WordsPanel
 from madviz.app.scene.scene import ScenePanel
@@ -329,11 +329,19 @@ def test_of_many_subsets_those_of_whole_cameras_are_shown_until_somebody_asks(se
 def test_subsets_say_how_far_their_actions_are_apart():
     frame = frame_with(SetCamera("third_a", OFF))
     action = frame.world.probe.readout.action
-    to_now, to_all = distances(frame, 3)
-    assert to_now == pytest.approx(float(np.linalg.norm(action[3] - frame.action)))
-    assert to_all == pytest.approx(float(np.linalg.norm(action[3] - action[0])))
-    assert distances(frame, frame.row)[0] == 0 == distances(frame, 0)[1]
-    assert np.isnan(distances(frame_with(policy=AllOrNothing("toy-stack")), 5)).all()
+    apart = {
+        row: tuple(f"{np.linalg.norm(action[row] - one):.2f}" for one in (frame.action, action[0]))
+        for row in range(len(action))
+    }
+    assert apart[frame.row][0] == "0.00" == apart[0][1] != apart[3][0] != apart[3][1]
+    assert sorted(apart_in(subsets_html(frame))) == sorted(apart.values())
+    stops = frame_with(SetCamera("third_a", OFF), policy=AllOrNothing("toy-stack"))
+    assert apart_in(subsets_html(stops)) == [("–", "0.00")]
+
+
+def apart_in(html: str) -> list[tuple[str, ...]]:
+    """The distances of each row that has an action, from the one now and from that of all."""
+    return re.findall(r'<td class="num">([\d.]+|–)</td><td class="num">([\d.]+|–)</td>', html)
 
 
 def test_a_policy_that_breaks_shows_where():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +14,7 @@ import pytest
 import viser
 import zstandard
 
+from benchmarks.visitor import Visitor
 from madviz.app.layout import Shared
 from madviz.app.page import Page
 from madviz.app.panel import Assign, Panel
@@ -30,10 +30,9 @@ from madviz.errors import UserError
 from madviz.session.commands import Pause, SetSpeed
 from madviz.session.frame import Frame
 from madviz.session.session import Session
-from madviz.soak.visitor import Visitor
 from madviz.system.hosts import check_port
 from tests.fakes import FakePolicy, policies
-from tests.pages import await_that, browser, choices_of, fake_app
+from tests.pages import await_that, browser, choices_of, fake_app, seats, sessions_shown
 from tests.sessions import frame_with
 
 
@@ -170,16 +169,17 @@ def test_a_simulation_waits_before_anybody_comes():
     with users(cap=2) as (them, lobby, made):
         assert len(made) == 1
         lobby.come(1)
-        assert len(made) == 1 and them.session_of(1) is made[0]
+        assert len(made) == 1 and sessions_shown(them)[1] is made[0]
 
 
 def test_everybody_has_their_own_until_the_cap():
     with users(cap=2) as (them, lobby, made):
         for number in (1, 2, 3, 4):
             lobby.come(number)
-        assert (them.sessions, them.watchers, len(made)) == (2, 2, 2)
+        assert seats(them) == (2, 2, 0) and len(made) == 2
         # Watchers are spread over the simulations there are.
-        assert {id(them.session_of(3)), id(them.session_of(4))} == {id(one) for one in made}
+        shown = sessions_shown(them)
+        assert {id(shown[3]), id(shown[4])} == {id(one) for one in made}
 
 
 def test_who_leaves_frees_a_thread_and_watchers_inherit():
@@ -189,13 +189,13 @@ def test_who_leaves_frees_a_thread_and_watchers_inherit():
         lobby.come(1)
         lobby.come(2)
         lobby.come(3)
-        assert (them.sessions, them.watchers) == (1, 2)
+        assert seats(them) == (1, 2, 0)
         lobby.go(1)
-        assert (them.sessions, them.watchers) == (1, 1)
+        assert seats(them) == (1, 1, 0)
         assert not thread.is_alive()
-        assert them.session_of(2) is made[1] and them.session_of(3) is made[1]
+        assert sessions_shown(them) == {2: made[1], 3: made[1]}
         lobby.go(3)
-        assert (them.sessions, them.watchers) == (1, 0)
+        assert seats(them) == (1, 0, 0)
 
 
 def test_who_left_before_their_page_was_made_has_no_simulation():
@@ -203,7 +203,7 @@ def test_who_left_before_their_page_was_made_has_no_simulation():
     with users(cap=2) as (them, lobby, _):
         client = browser(lobby.real, 7)
         lobby.join(client)
-        assert them.sessions == 0
+        assert seats(them) == (0, 0, 0)
         lobby.leave(client)
         assert not set(ticking()) - before
 
@@ -218,16 +218,14 @@ def test_who_leaves_before_their_page_starts_leaves_nothing_to_listen(monkeypatc
 
         monkeypatch.setattr(Page, "start", late)
         lobby.join(client)
-        assert them.sessions == 0 and not lobby.rates.listening
+        assert seats(them) == (0, 0, 0) and not lobby.rates.listening
 
 
 def test_a_page_that_is_closed_stops_drawing():
     before = set(threading.enumerate())
     with users(cap=1) as (_, lobby, made):
         lobby.come(1)
-        deadline = time.monotonic() + 20
-        while not isinstance(made[0].latest, Frame) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        await_that(lambda: isinstance(made[0].latest, Frame))
         pages = [t for t in threading.enumerate() if t.name == "madviz-page" and t not in before]
         lobby.go(1)
         assert pages and not any(page.is_alive() for page in pages)

@@ -18,9 +18,6 @@ from madviz.measure.audit.audit import AuditConfig, audit, audit_words, command,
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
 from madviz.measure.audit.sentences import in_words
-from madviz.measure.audit.verdict import (
-    VERDICTS,
-)
 from madviz.measure.blocks import html, markdown
 from madviz.measure.statistics import pair
 from madviz.measure.store import MEMORY, EpisodeResult, Store
@@ -29,7 +26,6 @@ from madviz.subsets import every_mask
 from madviz.types import Encoded, PolicySpec, Readout
 
 THREE = SETTINGS["three"].streams
-CODES = {name: code for code, name in enumerate(VERDICTS)}
 
 
 # --- Made-up policies on the toy task ---
@@ -192,7 +188,7 @@ def test_it_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
         run_audit(config)
     assert e.value.exit_code == 128 + signal.SIGINT
     again = command(replace(config, trust=True, workers=2, json="-"), given_away=False)
-    assert "--trust --workers 2 --json -" in again
+    assert "--workers 2 --json - --trust" in again
     world.stop_after = 10**9
     assert run_audit(config) == straight
     assert world.ran == whole

@@ -19,7 +19,7 @@ from tests.fakes import FakePolicy
 from tests.wires import foreign_server, towards_bright, wiring_file
 
 PROTOCOLS = ["vla-eval", "openpi"]
-OPTIONS: dict[str, Any] = {"episodes": 1, "how": ("black",), "workers": 0}
+OPTIONS: dict[str, Any] = {"episodes": 1, "how": ("black",), "workers": 0, "pairs": 0}
 
 
 def config_of(address: str, folder: Path) -> AuditConfig:

@@ -30,7 +30,6 @@ from benchmarks.pretraining import (
     train_autoencoder,
 )
 from madviz.errors import UserError
-from madviz.measure.episodes import one_thread
 from madviz.runs.demonstrations import Dataset, Episode
 from madviz.world_model.autoencoder import (
     LEAST_KEPT,
@@ -275,8 +274,7 @@ def test_a_view_is_imagined_from_another_after_training():
     before = imagined(model, data, 30, seed=0)
     losses: list[float] = []
     config = AutoencoderTraining(updates=600, batch_size=16, learning_rate=3e-3)
-    with one_thread():
-        train_autoencoder(model, data, config, 0, lambda update, loss: losses.append(loss))
+    train_autoencoder(model, data, config, 0, lambda update, loss: losses.append(loss))
     after = imagined(model, data, 30, seed=0)
     assert losses[-1] < 0.5 * losses[0]
     assert [row["gain"] for row in before] == [0.0, 0.0]
@@ -301,8 +299,7 @@ def test_the_benchmark_judges_every_subset_of_every_hidden_camera():
         training=AutoencoderTraining(updates=2, batch_size=2),
         network=SMALL,
     )
-    with one_thread():
-        found = bench_imagine(config)
+    found = bench_imagine(config)
     assert len(found["rows"]) == 9 and found["training"]["updates"] == 2
     hidden = [row["hidden"] for row in found["rows"] if "+" in row["from"]]
     assert sorted(hidden) == ["first", "third_a", "third_b"]
@@ -313,8 +310,7 @@ def test_the_benchmark_judges_every_subset_of_every_hidden_camera():
 
 
 def test_the_benchmark_judges_what_an_included_policy_draws():
-    with one_thread():
-        found = bench_imagine(ImagineConfig(policy="toy-reach-mv-mwm-mv-mwm", frames=30))
+    found = bench_imagine(ImagineConfig(policy="toy-reach-mv-mwm-mv-mwm", frames=30))
     assert found["task"] == "toy/reach" and found["least_gain"] > 2
     assert found["network"]["width"] == 64 and "training" not in found
     assert imagine_words(found).startswith("toy/reach: toy-reach-mv-mwm-mv-mwm, 30 frames")

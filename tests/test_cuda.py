@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +22,9 @@ from madviz.agent.update_graph import WARM_UP
 from madviz.policies.checkpoint import load_policy
 from madviz.runs import reward_run
 from madviz.runs.buffer import BufferSpec, ReplayBuffer
-from madviz.runs.run_folder import Event
 from madviz.training.config import TrainConfig
 from madviz.training.vectorised import VectorisedConfig
-from tests.recipe_runs import last_state
+from tests.recipe_runs import last_state, stops_at
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 
@@ -134,10 +131,6 @@ def test_a_ring_on_a_device_has_the_same_batches() -> None:
 def test_a_run_on_a_device_stops_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(event: Event) -> None:
-        if event["kind"] == "progress" and event["step"] == 66:
-            os.kill(os.getpid(), signal.SIGINT)
-
     monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
     config = VectorisedConfig(
         steps=120, exploration_steps=40, batch_size=8, hidden_dim=8, eval_every=50,
@@ -147,7 +140,7 @@ def test_a_run_on_a_device_stops_and_goes_on(
         "toy/reach", "mad", "paper-vectorised", out=tmp_path / "run", seed=3, threads=1,
         vectorised=config,
     )  # fmt: skip
-    state = last_state(begun, interrupt)
+    state = last_state(begun, stops_at(66))
     assert (state["step"], state["updates"]) == (66, 12)
     state = last_state(replace(begun, resume=True))
     assert (state["step"], state["updates"]) == (120, 39)

@@ -158,11 +158,19 @@ def runs(written: Written, folder: Path) -> None:
     assert done.returncode == 0, f"{written.line}\n{done.stdout}{done.stderr}"
 
 
-QUICK = [each for each in OURS if not each.mark]
+QUICK: dict[str, list[Written]] = {}
+"""The commands that are run every time, by their line: some stand in several pages."""
+for each in OURS:
+    if not each.mark:
+        QUICK.setdefault(each.line, []).append(each)
 SLOW = {page.name: [c for c in OURS if c.page == page.name] for page in PAGES}
 
 
-@pytest.mark.parametrize("written", QUICK, ids=[f"{c.page}: {c.line}" for c in QUICK])
+@pytest.mark.parametrize(
+    "written",
+    [same[0] for same in QUICK.values()],
+    ids=[f"{', '.join(c.page for c in same)}: {line}" for line, same in QUICK.items()],
+)
 def test_a_quick_command_in_the_text_works(written: Written, tmp_path: Path) -> None:
     runs(written, tmp_path)
 

@@ -59,8 +59,9 @@ def test_the_example_finds_the_target_from_any_camera():
 
 def test_a_task_of_ones_own_is_trained_on_and_evaluated_in_workers(tmp_path, monkeypatch):
     light = LightConfig(
-        rounds=1, demonstrations=2, episodes_per_round=1, updates_per_round=2, critic_updates=1
-    )
+        rounds=1, demonstrations=2, episodes_per_round=1, updates_per_round=2, batch_size=4,
+        critic_updates=1, hidden_dim=16,
+    )  # fmt: skip
     out = train(TrainConfig(task=TOUCH, out=tmp_path / "touch", light=light), lambda event: None)
     assert own_tasks() == (TOUCH,)
     rows = evaluate(out, ["all"], episodes=2, workers=1).rows

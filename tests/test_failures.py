@@ -104,7 +104,6 @@ def test_a_patch_may_say_where_it_is() -> None:
         "third_a@2.5",
         "third_a@20-",
         "third_a@x",
-        "third_a@x",
         "fourth@20",
         "third_a=rain@2",
         "third_a=none@2",

@@ -26,6 +26,7 @@ from madviz.system.files import (
     write_json,
     written_to,
 )
+from tests.disks import room_for
 
 VALUES = {
     "short": {"a": [1, 2, {"b": None}], "c": "[\n { x"},
@@ -189,13 +190,11 @@ def test_a_name_as_long_as_names_can_be_is_written_and_a_longer_one_refused(tmp_
 
 
 def test_a_disk_that_is_full_is_noticed_before_the_work(tmp_path):
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
-        with pytest.raises(UserError, match="^--json .*found: File too large; choose another"):
-            written_to(tmp_path / "x", "--json")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    with (
+        room_for(),
+        pytest.raises(UserError, match="^--json .*found: File too large; choose another"),
+    ):
+        written_to(tmp_path / "x", "--json")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -63,18 +63,18 @@ def foresight_of(frame: Frame) -> Foresight:
 def test_the_likeliest_course_is_the_formula() -> None:
     agent = make().double()
     start, state = believed(agent), torch.from_numpy(np.random.default_rng(1).normal(size=(3, 6)))
-    course = likeliest(net_of(agent).world, agent.actor, start, state, 3)
+    beliefs, actions = likeliest(net_of(agent).world, agent.actor, start, state, 3)
     w, actor = weights(agent.encoder), weights(agent.actor)
     memory, latent = start.deterministic[1].numpy(), start.latent[1].flatten().numpy()
     known = state[1].numpy()
     for step in range(3):
         middle, _ = np.split(mlp(actor, "mlp", np.concatenate([memory, latent, known])), 2)
         action = np.tanh(middle)
-        np.testing.assert_allclose(course.action[step, 1].detach().numpy(), action, rtol=1e-4)
+        np.testing.assert_allclose(actions[step, 1].detach().numpy(), action, rtol=1e-4)
         memory = advanced(w, memory, latent, action)
         latent = drawn(mlp(w, "world.rssm.prior", memory), None)
         belief = np.concatenate([memory, latent])
-        np.testing.assert_allclose(course.feature[step, 1].detach().numpy(), belief, rtol=1e-4)
+        np.testing.assert_allclose(beliefs[step, 1].detach().numpy(), belief, rtol=1e-4)
         told = mlp(w, "world.state", belief)
         known = np.sign(told) * np.expm1(np.abs(told))
     assert latent.sum() == GROUPS
@@ -98,10 +98,10 @@ def test_a_policy_begins_at_its_belief_and_draws_what_it_predicts() -> None:
     with torch.inference_mode():
         net, features = net_of(agent), encoded.private[0]
         belief = net.belief(net.present(features, torch.from_numpy(mask))[None])
-        course = likeliest(net.world, agent.actor, belief, torch.from_numpy(state)[None], 4)
-        tokens = net.world.predicted_features(course.feature[3])
+        beliefs, _ = likeliest(net.world, agent.actor, belief, torch.from_numpy(state)[None], 4)
+        tokens = net.world.predicted_features(beliefs[3])
         picture = net.autoencoder.draw(tokens, torch.arange(108)[None]).pictures[0]
-        reward = net.world.predicted_reward(course.feature[3]).item()
+        reward = net.world.predicted_reward(beliefs[3]).item()
     expected = (255 * picture.clamp(0, 1)).round().byte().permute(0, 2, 3, 1).numpy()
     assert np.abs(found.pictures[3].astype(int) - expected).max() <= 1
     assert found.reward[3] == pytest.approx(reward, rel=1e-4)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,17 +14,7 @@ from madviz.runs.run_folder import RunFolder
 from madviz.system.files import PART
 from madviz.training.config import TrainConfig
 from madviz.training.train import train
-
-
-@contextmanager
-def room_for(size: int) -> Iterator[None]:
-    """No file of this process can become larger meanwhile."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+from tests.disks import room_for
 
 
 def files(folder: Path) -> set[str]:
@@ -36,7 +23,7 @@ def files(folder: Path) -> set[str]:
 
 def test_a_run_that_cannot_begin_leaves_nothing(tmp_path: Path) -> None:
     with (
-        room_for(0),
+        room_for(),
         pytest.raises(UserError, match="found: .*File too large; choose") as error,
     ):
         train(TrainConfig(task="toy/reach", out=tmp_path / "run"))
@@ -97,7 +84,7 @@ def test_a_recording_that_finds_no_room_leaves_no_file(ending: str, tmp_path: Pa
         tmp_path / f"film.{ending}", policy="madviz.examples.own_policy:make", steps=3
     )
     with (
-        room_for(0),
+        room_for(),
         pytest.raises(UserError, match="^--out .*(written).*File too large") as error,
     ):
         run_record(config)

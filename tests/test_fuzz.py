@@ -13,7 +13,6 @@ import io
 import json
 import logging
 import shutil
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -28,6 +27,7 @@ from viser.infra._messages import wire_field_names
 
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.__main__ import main as benchmark
+from benchmarks.visitor import Visitor
 from madviz import cli
 from madviz.app import connection
 from madviz.app.connection import TAKEN
@@ -41,10 +41,9 @@ from madviz.policies import checkpoint
 from madviz.policies.checkpoint import describe, shipped_evaluation
 from madviz.policies.listing import ListConfig, catalogue, list_policies, run_list
 from madviz.session.session_reader import parse
-from madviz.soak.visitor import Visitor
 from madviz.system.options import options
 from madviz.system.plugins import load
-from tests.pages import fake_app
+from tests.pages import fake_app, until
 from tests.test_messages import KINDS, sample
 from tests.test_saved_session_files import document
 
@@ -277,13 +276,6 @@ def sample_of(kind: str, name: str) -> Any:
     from viser.infra._messages import get_type_hints_cached
 
     return sample(get_type_hints_cached(KINDS[kind])[name])
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 # --- Few of them every time, many now and then --------------------------------------------------

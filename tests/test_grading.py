@@ -83,12 +83,12 @@ def test_the_original_check_is_put_back(class_: Path, change, edited: bool) -> N
     copy = notebook(RIGHT)
     change(copy)
     file = come_back(class_, "ada_02_merge.ipynb", copy)
-    prepared = prepare(file, handed_out(class_ / "lessons")[LESSON])
-    assert prepared.edited == ({"02.merge"} if edited else set())
-    last = prepared.notebook.cells[-1]
+    ready, found = prepare(file, handed_out(class_ / "lessons")[LESSON])
+    assert found == ({"02.merge"} if edited else set())
+    last = ready.cells[-1]
     assert "madviz.grading.inside" in last.source and '"02.merge"' in last.source.replace("'", '"')
     assert last.metadata == {"madviz": "02.merge"}
-    assert sum("madviz.grading.inside" in cell.source for cell in prepared.notebook.cells) == 1
+    assert sum("madviz.grading.inside" in cell.source for cell in ready.cells) == 1
 
 
 def test_only_tagged_cells_are_checks() -> None:

@@ -189,8 +189,7 @@ def test_the_switch_wraps_the_policy_that_acts(session: Recorder, server, monkey
     monkeypatch.setattr("madviz.app.panels.guard.has_guard", lambda policy: True)
     sent: list = []
     gui = recorded(server.gui)
-    names = {NAME: NAME, f"{NAME} (guarded)": GUARDED}
-    panel = GuardPanel(gui, sent.append, session.frames[-1], lambda spec: names[spec.name])
+    panel = GuardPanel(gui, sent.append, session.frames[-1])
     apply(panel.update(session.frames[-1]))
     switch = gui.find("Guard")
     assert not switch.disabled and switch.value is False

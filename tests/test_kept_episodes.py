@@ -16,8 +16,7 @@ from madviz.training.config import TrainConfig
 from madviz.training.light import LightRun
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
-from tests.plans import toy_plan
-from tests.test_light import InlineRecorder
+from tests.plans import record_inline, toy_plan
 
 TINY = LightConfig(
     rounds=3, demonstrations=2, episodes_per_round=2, updates_per_round=3, batch_size=4,
@@ -31,10 +30,17 @@ def trained(out: Path, light: LightConfig, **options: Any) -> Path:
     return train(config, lambda event: None)
 
 
-@pytest.fixture
-def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(Recorder, "start", InlineRecorder().start)
-    return trained(tmp_path / "recorded", TINY)
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    record_inline(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that kept its episodes; nobody changes it."""
+    with pytest.MonkeyPatch.context() as patch:
+        record_inline(patch)
+        return trained(tmp_path_factory.mktemp("kept") / "recorded", TINY)
 
 
 def test_episodes_stay_only_where_they_are_asked_for(recorded: Path, tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from madviz.training.paper import PaperConfig
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array
 from tests.fakes import FakePolicy
+from tests.plans import record_inline
 from tests.recipe_runs import last_state
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
@@ -183,7 +184,8 @@ SMALL_LIGHT = LightConfig(
 )  # fmt: skip
 
 
-def test_light_ships_the_averaged_weights(tmp_path: Path) -> None:
+def test_light_ships_the_averaged_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record_inline(monkeypatch)
     out = tmp_path / "run"
     config = TrainConfig("toy/reach", "mad", "light", out=out, threads=1, light=SMALL_LIGHT)
     state = last_state(config)

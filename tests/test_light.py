@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,13 +18,13 @@ from madviz.envs.registry import SETTINGS
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
-from madviz.runs.demonstrations import Dataset, Driver, Episode, Recorder, record_episode
+from madviz.runs.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.runs.run_folder import RunFolder
 from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.types import Array
 from tests.fakes import random_policy
-from tests.plans import THREE, toy_plan
+from tests.plans import THREE, InlineRecorder, record_inline, toy_plan
 
 RGBD = SETTINGS["three-rgbd"].streams
 TOY = NetworkConfig(state_dim=6, action_dim=2, hidden_dim=16)
@@ -39,27 +38,6 @@ DIALS = replace(
     focus=0.5,
 )  # fmt: skip
 """Everything that is off by default."""
-
-
-class InlineRecorder:
-    """Records at once, in this process; can break off after so many plans."""
-
-    def __init__(self, breaks_after: int = 1000) -> None:
-        self.env, self.left = ToyReach(), breaks_after
-
-    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
-        if self.left == 0:
-            raise KeyboardInterrupt
-        self.left -= 1
-        futures: list[Future[Episode]] = []
-        for driver, seed in plan:
-            future: Future[Episode] = Future()
-            future.set_result(record_episode(self.env, THREE, driver, seed))
-            futures.append(future)
-        return futures
-
-    def close(self) -> None:
-        pass
 
 
 def run_in(folder: RunFolder, config: LightConfig = TINY) -> LightRun:
@@ -205,7 +183,7 @@ def test_a_kill_leaves_every_row_of_the_curve_once(
     after: str, call: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     short = replace(TINY, rounds=3, demonstrations=1, episodes_per_round=1, updates_per_round=1)
-    monkeypatch.setattr(Recorder, "start", InlineRecorder().start)
+    record_inline(monkeypatch)
     folder = RunFolder(tmp_path, short, resume=False, listener=None)
     plain, calls = getattr(folder, after), iter(range(1, 10))
 

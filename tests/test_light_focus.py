@@ -11,8 +11,8 @@ import pytest
 from madviz.runs.run_folder import RunFolder
 from madviz.training.light import LightRun
 from madviz.training.light_focus import ROUNDS, failures, focused, in_turn, shares
-from tests.plans import THREE, toy_plan
-from tests.test_light import TINY, InlineRecorder, finish, run_in
+from tests.plans import THREE, InlineRecorder, toy_plan
+from tests.test_light import TINY, finish, run_in
 
 
 def test_failures_are_counted_over_the_latest_rounds_from_one_of_each() -> None:

@@ -4,7 +4,6 @@ are off by default."""
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -37,12 +36,8 @@ HALF_WAY = 6
 
 
 @pytest.fixture(autouse=True)
-def in_float32(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(light, "autocast", nullcontext)
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def recorded(

@@ -28,9 +28,9 @@ from madviz.observation.displacement import Displacement
 from madviz.policies import checkpoint
 from madviz.session.commands import SetCamera
 from tests.checkpoints import make_config
+from tests.disks import room_for
 from tests.fakes import FakePolicy
 from tests.sessions import frame_with
-from tests.test_store import full_disk
 
 POLICY = "tests.fakes:FakePolicy"
 ALL, FIRST, NONE = map(Condition, ("all", "first", "none"))
@@ -83,14 +83,14 @@ def live():
 
 def test_seeds_are_run_in_order_one_at_a_time_until_there_are_enough(live):
     evaluator, workers = live
-    assert evaluator.request("ann", POLICY, ALL).n == 0
+    assert evaluator.request("ann", POLICY, ALL).results == ()
     for seed in (60000, 60001, 60002, 60003):
         assert workers.jobs == [("all", seed)]
         workers.finish(success=seed > 60000)
     assert workers.jobs == []
     tally = evaluator.request("ann", POLICY, ALL)
-    assert (tally.success.successes, tally.success.n, tally.success_any.value) == (3, 4, 1.0)
-    assert tally.success.interval == pytest.approx((0.3006, 0.9544), abs=1e-4)
+    assert [result.success for result in tally.results] == [False, True, True, True]
+    assert all(result.success_any for result in tally.results)
     assert [result.seed for result in tally.results] == [60000, 60001, 60002, 60003]
 
 
@@ -113,7 +113,8 @@ def test_a_changed_setting_is_next_and_the_old_one_is_resumed_later(live):
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
     assert workers.jobs == [("all", 60001)]
-    assert evaluator.tally(POLICY, ALL).n == 1 and evaluator.tally(POLICY, FIRST).n == 2
+    assert len(evaluator.request("ann", POLICY, ALL).results) == 1
+    assert len(evaluator.request("ann", POLICY, FIRST).results) == 2
 
 
 def test_visitors_take_turns_and_share_what_they_both_want(live):
@@ -128,7 +129,7 @@ def test_visitors_take_turns_and_share_what_they_both_want(live):
         (subset, seed) for seed in (60000, 60001, 60002) for subset in ("all", "first")
     ]
     evaluator.request("bob", POLICY, ALL)
-    assert evaluator.request("bob", POLICY, ALL).n == 3
+    assert len(evaluator.request("bob", POLICY, ALL).results) == 3
     assert workers.jobs == [("all", 60003)]
 
 
@@ -148,9 +149,10 @@ def test_an_episode_counts_when_all_before_it_are_done():
     workers.waiting.append(workers.waiting.pop(0))  # The first one takes longest.
     workers.finish()
     workers.finish()
-    assert workers.jobs == [("all", 60000), ("all", 60003)] and evaluator.tally(POLICY, ALL).n == 0
+    assert workers.jobs == [("all", 60000), ("all", 60003)]
+    assert evaluator.request("ann", POLICY, ALL).results == ()
     workers.finish()
-    counted = [result.seed for result in evaluator.tally(POLICY, ALL).results]
+    counted = [result.seed for result in evaluator.request("ann", POLICY, ALL).results]
     assert counted == [60000, 60001, 60002]
 
 
@@ -160,15 +162,16 @@ def test_a_visitor_who_left_is_not_served(live):
     evaluator.forget("ann")
     evaluator.forget("nobody")
     workers.finish()
-    assert workers.jobs == [] and evaluator.tally(POLICY, ALL).n == 1
+    assert workers.jobs == []
+    assert len(evaluator.request("bob", POLICY, ALL).results) == 1
 
 
 def test_occlusions_that_cannot_be_noticed_are_the_same_setting(live):
     evaluator, _ = live
     black = (("third_a", Occlusion("black")),)
     for subset, same in ((FIRST, True), (ALL, False)):
-        occluded = evaluator.tally(POLICY, Condition(subset.subset, black)).request
-        assert (occluded == evaluator.tally(POLICY, subset).request) is same
+        occluded = evaluator.request("ann", POLICY, Condition(subset.subset, black)).request
+        assert (occluded == evaluator.request("ann", POLICY, subset).request) is same
 
 
 def test_the_listener_hears_every_result():
@@ -177,7 +180,7 @@ def test_the_listener_hears_every_result():
     evaluator.request("ann", POLICY, ALL)
     workers.finish()
     workers.finish()
-    assert [(tally.request.condition.subset, tally.n) for tally in heard] == [
+    assert [(tally.request.condition.subset, len(tally.results)) for tally in heard] == [
         ("all", 1),
         ("all", 2),
     ]
@@ -188,15 +191,14 @@ def test_an_error_ends_its_setting_only_and_asking_anew_tries_again(live):
     evaluator.request("ann", POLICY, ALL)
     evaluator.request("bob", POLICY, FIRST)
     workers.fail(UserError("cannot act on 'all'"))
-    assert evaluator.tally(POLICY, ALL).error == "cannot act on 'all'"
+    assert evaluator.request("ann", POLICY, ALL).error == "cannot act on 'all'"
     assert workers.jobs == [("first", 60000)]
     workers.finish()
     assert workers.jobs == [("first", 60001)]
     evaluator.request("ann", POLICY, ALL)
     assert workers.jobs == [("first", 60001)]  # Nothing was asked anew.
     evaluator.request("ann", POLICY, NONE)
-    evaluator.request("ann", POLICY, ALL)
-    assert evaluator.tally(POLICY, ALL).error == ""
+    assert evaluator.request("ann", POLICY, ALL).error == ""
     workers.finish()
     assert workers.jobs == [("all", 60000)]
 
@@ -207,8 +209,8 @@ def test_after_a_killed_worker_the_same_seed_is_run_again(live):
     workers.finish()
     workers.fail(BrokenProcessPool("killed"))
     assert workers.generation == 1 and workers.jobs == [("all", 60001)]
-    tally = evaluator.tally(POLICY, ALL)
-    assert tally.n == 1 and tally.error == ""
+    tally = evaluator.request("ann", POLICY, ALL)
+    assert len(tally.results) == 1 and tally.error == ""
 
 
 def test_it_gives_up_when_workers_keep_dying_and_starts_again_on_a_new_wish(live):
@@ -216,7 +218,8 @@ def test_it_gives_up_when_workers_keep_dying_and_starts_again_on_a_new_wish(live
     evaluator.request("ann", POLICY, ALL)
     for _ in range(3):
         workers.fail(BrokenProcessPool("killed"))
-    assert workers.jobs == [] and evaluator.tally(POLICY, ALL).error.startswith("expected worker")
+    assert workers.jobs == []
+    assert evaluator.request("ann", POLICY, ALL).error.startswith("expected worker")
     evaluator.request("ann", POLICY, FIRST)
     assert workers.jobs == [("first", 60000)]
 
@@ -253,9 +256,9 @@ def test_results_of_policy_folders_go_into_the_store(monkeypatch, tmp_path):
     workers.finish(success=False)
     later, workers = fake(1, store)
     tally = later.request("bob", "toy", ALL)
-    assert (tally.success.successes, tally.success.n) == (1, 2)
+    assert [result.success for result in tally.results] == [True, False]
     assert workers.jobs == [("all", 60002)]
-    assert later.tally("toy", FIRST).n == 0
+    assert later.request("bob", "toy", FIRST).results == ()
 
 
 def test_real_workers_survive_a_kill_and_give_the_right_numbers():
@@ -263,7 +266,7 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
 
     def listen(tally):
         some.set()
-        if tally.n == 60:
+        if len(tally.results) == 60:
             enough.set()
 
     before = set(multiprocessing.active_children())
@@ -274,7 +277,7 @@ def test_real_workers_survive_a_kill_and_give_the_right_numbers():
     assert victim.pid is not None
     os.kill(victim.pid, signal.SIGKILL)
     assert enough.wait(300)
-    runner, tally = Runner(), evaluator.tally(POLICY, ALL)
+    runner, tally = Runner(), evaluator.request("ann", POLICY, ALL)
     assert tally.results == tuple(runner.run(Job(*tally.request, r.seed))[0] for r in tally.results)
     assert [r.seed for r in tally.results] == list(range(60000, 60060))
     evaluator.close()
@@ -289,7 +292,7 @@ def test_closing_does_not_wait_for_the_end_of_an_episode():
     closing = time.monotonic()
     evaluator.close()
     assert time.monotonic() - closing < 10
-    assert evaluator.tally("tests.test_live:Patient", FIRST).n == 0
+    assert evaluator.request("ann", "tests.test_live:Patient", FIRST).results == ()
 
 
 class Patient(FakePolicy):
@@ -307,8 +310,8 @@ def test_a_moved_camera_is_measured_where_it_stands_and_counts_apart(live):
     evaluator.request("ann", POLICY, there)
     job = workers.finish()
     assert job.condition.moves == (("first", right),)  # The other one is dropped: nobody would see.
-    assert evaluator.request("ann", POLICY, FIRST).n == 0
-    assert evaluator.request("ann", POLICY, there).n == 1
+    assert evaluator.request("ann", POLICY, FIRST).results == ()
+    assert len(evaluator.request("ann", POLICY, there).results) == 1
 
 
 def test_what_workers_measure_of_a_moved_camera_is_where_the_page_looks_for_it():
@@ -336,7 +339,7 @@ def test_a_policy_that_is_no_folder_is_not_loaded_where_the_page_is_drawn(monkey
         raise AssertionError(f"{reference} was loaded")
 
     monkeypatch.setattr(checkpoint, "load_policy", loaded)
-    assert evaluator.request("ann", "guard:metaworld-hammer-mad-light", ALL, spec).n == 0
+    assert evaluator.request("ann", "guard:metaworld-hammer-mad-light", ALL, spec).results == ()
     assert workers.jobs == [("all", 60000)]
     with pytest.raises(AssertionError, match="was loaded"):
         evaluator.request("ann", "module:factory", ALL)
@@ -385,10 +388,10 @@ def test_measuring_goes_on_when_the_disk_is_full_and_the_page_says_so(monkeypatc
     frame = frame_with()
     evaluator.request("ann", "toy", ALL)
     assert "not stored" not in bars_html(frame, rates)
-    with full_disk(), pytest.warns(UserWarning, match="memory only"):
+    with room_for(), pytest.warns(UserWarning, match="memory only"):
         workers.finish()
     workers.finish()
-    assert heard[-1].n == 2 and not heard[-1].error and workers.jobs == [("all", 60002)]
+    assert len(heard[-1].results) == 2 and not heard[-1].error and workers.jobs == [("all", 60002)]
     assert "not stored: " in bars_html(frame, rates) and "memory only" in bars_html(frame, rates)
 
 
@@ -401,4 +404,4 @@ def test_measuring_that_cannot_be_recorded_ends_with_a_word(monkeypatch, tmp_pat
     evaluator.request("ann", "toy", ALL)
     store.close()
     workers.finish()
-    assert heard[-1].n == 1 and "closed database" in heard[-1].error
+    assert len(heard[-1].results) == 1 and "closed database" in heard[-1].error

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Union, get_args, get_origin
 
 import msgspec.msgpack
@@ -16,11 +15,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from benchmarks.visitor import Visitor
 from madviz.app.access import Gate
 from madviz.app.connection import TAKEN
 from madviz.app.server import App
-from madviz.soak.visitor import Visitor
-from tests.pages import fake_app
+from tests.pages import fake_app, until
 
 KINDS: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.get_subclasses()}
 LET_GO = 1002
@@ -37,13 +36,6 @@ REFUSED = {
     "ScenePointerMessage",
 }
 """What viser would act upon and the page does not send."""
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 def sample(hint: Any) -> Any:

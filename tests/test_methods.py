@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,8 +28,7 @@ from madviz.measure.episodes import run_episode
 from madviz.observation.ablation import Ablation
 from madviz.policies import checkpoint
 from madviz.policies.listing import ListConfig, run_list
-from madviz.runs.demonstrations import Driver, Episode, Recorder, record_episode
-from madviz.runs.drawn_task import DrawnTask
+from madviz.runs.demonstrations import Driver, record_episode
 from madviz.runs.run_folder import RunFolder
 from madviz.subsets import every_mask, mask_of
 from madviz.training import light
@@ -41,7 +38,7 @@ from madviz.training.paper import PaperConfig
 from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Environment, PolicySpec
-from tests.plans import OWN, toy_plan
+from tests.plans import OWN, record_inline, toy_plan
 
 STREAMS = SETTINGS["three"].streams
 HORIZON = 4
@@ -60,34 +57,13 @@ def short_toy() -> ToyReach:
     return env
 
 
-class InlineRecorder(Recorder):
-    """Records at once, in this process."""
-
-    def __init__(self, drawn_task: DrawnTask, workers: int) -> None:
-        self.env, self.streams = short_toy(), drawn_task.streams
-
-    def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
-        futures: list[Future[Episode]] = []
-        for driver, seed in plan:
-            future: Future[Episode] = Future()
-            future.set_result(record_episode(self.env, self.streams, driver, seed))
-            futures.append(future)
-        return futures
-
-    def close(self) -> None:
-        pass
-
-
 @pytest.fixture(autouse=True)
-def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     def make(task: str, render_profile: str, cameras=()) -> Environment:
         return short_toy()
 
     monkeypatch.setattr("madviz.runs.drawn_task.make_env", make)
-    monkeypatch.setattr(light, "Recorder", InlineRecorder)
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+    record_inline(monkeypatch)
 
 
 def config(method: str, recipe: str = "light", **changes: Any) -> TrainConfig:

@@ -9,7 +9,6 @@ from scipy import stats
 
 from madviz.world_model.actor_critic import (
     BeliefActor,
-    Noise,
     imagine,
     imagined_actor_loss,
     imagined_critic_loss,
@@ -81,7 +80,7 @@ def test_an_imagination_is_the_formula_and_weighs_by_what_follows() -> None:
     agent = make().double()
     assert isinstance(agent.actor, BeliefActor)
     start, state = believed(agent), normal(B, 6)
-    noise = Noise(uniform(2, B, 2), uniform(2, B, GROUPS, seed=8))
+    noise = (uniform(2, B, 2), uniform(2, B, GROUPS, seed=8))
     imagined = imagine(net_of(agent).world, agent.actor, start, state, noise, gamma=0.9)
     w, actor = weights(agent.encoder), weights(agent.actor)
     memory, latent, known = (
@@ -95,10 +94,10 @@ def test_an_imagination_is_the_formula_and_weighs_by_what_follows() -> None:
         middle, spread = np.tanh(middle), 2 * sigmoid(raw / 2) + 0.1
         edges = (-1 - middle) / spread, (1 - middle) / spread
         choice = stats.truncnorm(*edges, middle, spread)
-        action = choice.ppf(noise.action[step, 1].numpy())
+        action = choice.ppf(noise[0][step, 1].numpy())
         assert imagined.entropy[step, 1].item() == pytest.approx(choice.entropy().sum(), rel=1e-6)
         memory = advanced(w, memory, latent, action)
-        latent = drawn(mlp(w, "world.rssm.prior", memory), noise.latent[step, 1].numpy())
+        latent = drawn(mlp(w, "world.rssm.prior", memory), noise[1][step, 1].numpy())
         belief = np.concatenate([memory, latent])
         reward, known = mlp(w, "world.reward", belief)[0], mlp(w, "world.state", belief)
         reward, known = (np.sign(x) * np.expm1(np.abs(x)) for x in (reward, known))
@@ -126,7 +125,7 @@ def test_the_losses_of_actor_and_critic() -> None:
 def test_rewards_reach_actions_through_the_world_model() -> None:
     agent = make().double()
     assert isinstance(agent.actor, BeliefActor)
-    noise = Noise(uniform(3, B, 2), uniform(3, B, GROUPS, seed=8))
+    noise = (uniform(3, B, 2), uniform(3, B, GROUPS, seed=8))
     imagined = imagine(net_of(agent).world, agent.actor, believed(agent), normal(B, 6), noise, 0.9)
     imagined.reward[-1].sum().backward()
     slopes = [p.grad for p in agent.actor.parameters()]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +13,12 @@ from madviz.policies.card import card_text
 from madviz.policies.config import read_config
 from madviz.runs import reward_run
 from madviz.runs.demonstrations import Dataset
-from madviz.runs.run_folder import Event
 from madviz.runs.training_plan import TrainingPlan
 from madviz.world_model import recipe
 from madviz.world_model.mv_mwm_options import MvMwmConfig
 from madviz.world_model.recipe import unlike
-from tests.test_mv_mwm_run import SHORT, TINY, assert_same_run, run
+from tests.recipe_runs import assert_same_run, stops_at
+from tests.test_mv_mwm_run import SHORT, TINY, run
 
 
 def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
@@ -30,12 +28,8 @@ def test_a_run_with_demonstrations_goes_on_with_the_same_ones(
     whole = run(tmp_path / "whole", config)
     assert whole["losses"]["cloning_loss"] > 0
 
-    def interrupt(event: Event) -> None:
-        if event["kind"] == "progress" and event["step"] == 54:
-            os.kill(os.getpid(), signal.SIGINT)
-
     monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
-    stopped = run(tmp_path / "run", config, listener=interrupt)
+    stopped = run(tmp_path / "run", config, listener=stops_at(54))
     assert stopped["step"] == 54 and stopped["updates"] < whole["updates"]
     assert_same_run(run(tmp_path / "run", config, resume=True), whole)
     card = card_text(tmp_path / "run")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +22,6 @@ from madviz.runs import reward_run
 from madviz.runs.buffer import BufferSpec, ReplayBuffer, Stretch
 from madviz.runs.demonstrations import Dataset, Driver, record_episode
 from madviz.runs.drawn_task import newest_frames
-from madviz.runs.run_folder import Event
 from madviz.subsets import every_mask
 from madviz.sweep.sweep import SweepConfig, run_sweep
 from madviz.training.config import RECIPES, TrainConfig, identity, resolve
@@ -34,7 +30,7 @@ from madviz.world_model.learner import WorldLearner
 from madviz.world_model.mv_mwm_options import MvMwmConfig
 from madviz.world_model.recipe import beside, demonstrated
 from madviz.world_model.sizes import MvMwmOptions
-from tests.recipe_runs import last_state
+from tests.recipe_runs import assert_same_run, curve, last_state, stops_at
 from tests.test_merges import perturb
 
 STREAMS = tuple(camera.name for camera in CAMERAS)
@@ -59,21 +55,6 @@ def run(
     folder: Path, config: MvMwmConfig = TINY, resume: bool = False, listener: Any = None
 ) -> dict[str, Any]:
     return last_state(asked(folder, config, resume=resume), listener)
-
-
-def curve(folder: Path) -> list[dict[str, str]]:
-    """The curve without its clock."""
-    with (folder / "curve.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    clock = [k for k in rows[0] if k.startswith("seconds") or k.endswith("per_s")]
-    return [{k: v for k, v in row.items() if k not in clock} for row in rows]
-
-
-def assert_same_run(one: dict[str, Any], other: dict[str, Any]) -> None:
-    for name, weight in one["learner"]["agent"].items():
-        assert torch.equal(weight, other["learner"]["agent"][name]), name
-    for key in ("step", "updates", "drawn", "episodes", "rng", "episode_seeds", "losses"):
-        assert one[key] == other[key], key
 
 
 def test_a_stretch_is_drawn_only_when_there_is_one(tmp_path: Path) -> None:
@@ -338,13 +319,8 @@ def test_a_stopped_run_goes_on_and_ends_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In mid-episode, and between an evaluation and the next decision."""
-
-    def interrupt(event: Event) -> None:
-        if event["kind"] == kind and event["step"] == step:
-            os.kill(os.getpid(), signal.SIGINT)
-
     monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
-    state = run(tmp_path / "run", listener=interrupt)
+    state = run(tmp_path / "run", listener=stops_at(step, kind))
     assert state["step"] == step and state["updates"] == updates
     assert state["between_episodes"] == (kind == "curve")
     state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,14 +30,6 @@ from madviz.types import Array, PolicySpec
 STREAMS = SETTINGS["three"].streams
 B, V, L, Z = 3, 3, 6, 3136
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=8, own=VibOptions(L))
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def make(merge: str, seed: int = 0) -> Agent:

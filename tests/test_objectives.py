@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,15 +32,6 @@ Params = dict[str, Tensor]
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)
 STREAMS = {name: setting(name).streams for name in ("three", "three-rgbd")}
 LR, TAU, ALPHA, B = 5e-4, 0.01, 0.8, 3
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Three images are too few to share out; waiting for the other core costs more."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 # --- The paper again, one sample and one row at a time ---------------------------------------

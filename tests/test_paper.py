@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +28,7 @@ from madviz.training.train import train
 from madviz.training.vectorised import VectorisedConfig
 from madviz.types import Array, Environment
 from tests.plans import toy_plan
+from tests.recipe_runs import assert_same_run, curve, stops_at
 
 TINY = PaperConfig(
     steps=26, exploration_steps=10, batch_size=4, hidden_dim=8, eval_every=16, eval_episodes=1,
@@ -39,7 +38,7 @@ HORIZON = 6
 
 
 @pytest.fixture(autouse=True)
-def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def short_toy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Episodes of six decisions, each of which claims to be two simulator steps."""
 
     def make(task: str, render_profile: str, cameras=()) -> Environment:
@@ -48,10 +47,6 @@ def short_toy(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         return env
 
     monkeypatch.setattr("madviz.runs.drawn_task.make_env", make)
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 class Killed(Exception):
@@ -81,29 +76,13 @@ def test_a_finished_run_gives_back_the_room_of_its_buffer(tmp_path: Path) -> Non
     assert load_policy(tmp_path).spec.recipe == "paper"
 
 
-def final(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """The last state, and the curve without its clock."""
-    state = torch.load(folder / "resume" / "state.pt", weights_only=True)
-    with (folder / "curve.csv").open() as file:
-        rows = [
-            {
-                k: v
-                for k, v in row.items()
-                if not k.startswith("seconds") and not k.endswith("per_s")
-            }
-            for row in csv.DictReader(file)
-        ]
-    return state, rows
+def state_of(folder: Path) -> dict[str, Any]:
+    return torch.load(folder / "resume" / "state.pt", weights_only=True)
 
 
-def assert_same_run(one: Path, other: Path) -> None:
-    (a, rows), (b, others) = final(one), final(other)
-    assert rows == others
-    for name, weight in a["learner"]["agent"].items():
-        assert torch.equal(weight, b["learner"]["agent"][name]), name
-    counted = ("step", "updates", "episodes", "rng", "episode_seeds")
-    assert [a[k] for k in counted] == [b[k] for k in counted]
-    assert a["learner"]["rng"] == b["learner"]["rng"]
+def assert_same(one: Path, other: Path) -> None:
+    assert curve(one) == curve(other)
+    assert_same_run(state_of(one), state_of(other))
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +154,8 @@ def test_both_recipes_learn_on_a_device_and_in_float32(
 
 
 def test_the_schedule(whole_run: Path) -> None:
-    state, rows = final(whole_run)
+    state = state_of(whole_run)
+    rows = curve(whole_run)
     assert state["step"] == 26 and state["episodes"] == 5
     assert state["updates"] == 8, "before the decisions 10, 12, ... 24"
     # 16 simulator steps are 8 decisions; the episodes end after 6, 12, 18, 24. Then the very end.
@@ -200,21 +180,17 @@ def test_a_killed_run_ends_the_same(whole_run: Path, tmp_path: Path, killed_at: 
     with pytest.raises(Killed):
         run(tmp_path / "run", listener=kill)
     run(tmp_path / "run", resume=True)
-    assert_same_run(tmp_path / "run", whole_run)
+    assert_same(tmp_path / "run", whole_run)
 
 
 def test_ctrl_c_saves_in_mid_episode(whole_run: Path, tmp_path: Path) -> None:
-    def interrupt(event: Event) -> None:
-        if event["kind"] == "progress" and event["step"] == 21:
-            os.kill(os.getpid(), signal.SIGINT)
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reward_run, "PROGRESS_SECONDS", 0)
-        run(tmp_path / "run", listener=interrupt)
-    state, _ = final(tmp_path / "run")
+        run(tmp_path / "run", listener=stops_at(21))
+    state = state_of(tmp_path / "run")
     assert state["step"] == 21 and not state["between_episodes"]
     run(tmp_path / "run", resume=True)
-    assert_same_run(tmp_path / "run", whole_run)
+    assert_same(tmp_path / "run", whole_run)
 
 
 def test_ctrl_c_abandons_an_evaluation(whole_run: Path, tmp_path: Path) -> None:
@@ -232,7 +208,7 @@ def test_ctrl_c_abandons_an_evaluation(whole_run: Path, tmp_path: Path) -> None:
         run(tmp_path / "run")
     assert len(asked) == 3 and not (tmp_path / "run" / "curve.csv").exists()
     run(tmp_path / "run", resume=True)
-    assert_same_run(tmp_path / "run", whole_run)
+    assert_same(tmp_path / "run", whole_run)
 
 
 def test_another_configuration_is_not_resumed(whole_run: Path) -> None:
@@ -306,7 +282,7 @@ def test_a_run_without_exploring_is_refused(recipe: str, tmp_path: Path) -> None
 
 def test_one_decision_of_exploring_is_enough(tmp_path: Path) -> None:
     run(tmp_path, replace(TINY, steps=8, exploration_steps=1))
-    assert final(tmp_path)[0]["updates"] == 3  # Before decisions 2, 4 and 6.
+    assert state_of(tmp_path)["updates"] == 3  # Before decisions 2, 4 and 6.
 
 
 def test_a_buffer_that_will_not_fit_is_refused_at_the_start(tmp_path: Path) -> None:

@@ -364,15 +364,15 @@ def test_the_command_that_makes_it_again_can_be_pasted() -> None:
     served, wire = "ws://host:8000?token=secret", Path("/home/me/arm.toml")
     config = RecordConfig(Path("x.mp4"), served, replay=Path("/a/k.json"), wire=wire, episode=2)
     assert command_of(config) == (
-        "madviz record --replay k.json --policy ws://host:8000 --wire arm.toml --episode 2 "
+        "madviz record --policy ws://host:8000 --replay k.json --episode 2 --wire arm.toml "
         "--out x.mp4"
     )
     config = RecordConfig(
         Path("x.mp4"), "sb3:/home/a@b/m.zip@toy/reach", trust=True, steps=9, tile=84, fps=2
     )
     assert command_of(config) == (
-        "madviz record --policy sb3:m.zip@toy/reach --seed 60000 --trust --steps 9 --tile 84 "
-        "--fps 2 --out x.mp4"
+        "madviz record --policy sb3:m.zip@toy/reach --seed 60000 --steps 9 --tile 84 --fps 2 "
+        "--trust --out x.mp4"
     )
 
 

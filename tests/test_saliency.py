@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import threading
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ ALL = np.ones(3, bool)
 STATE = np.linspace(-1, 1, 6).astype(np.float32)
 
 
+@cache
 def policy_with(merge: str = "sum") -> TorchPolicy:
     spec = PolicySpec("p", "toy/reach", "mad", "three", "light", STREAMS, ("all", *STREAMS))
     with torch.random.fork_rng():
@@ -73,7 +76,7 @@ def test_a_stream_that_is_not_present_is_not_looked_at() -> None:
 
 def test_maps_find_the_pixels_that_matter() -> None:
     """Weights that see the upper left corner of the view alone: nothing else may light up."""
-    policy = policy_with()
+    policy = copy.deepcopy(policy_with())
     first = torch.zeros(1, 3136)
     first[0, ::49] = 1.0  # The place in row 0, column 0 of every one of the 64 maps.
     with torch.no_grad():

@@ -6,12 +6,14 @@ import json
 import os
 import subprocess
 import sys
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from msgspec import structs
 
 from madviz import cli
@@ -45,6 +47,7 @@ from madviz.session.session_file import (
 )
 from madviz.session.session_reader import parse
 from madviz.session.simulation import Simulation
+from madviz.types import Array, Encoded, Environment
 from tests.fakes import FakePolicy, policies
 from tests.sessions import Recorder
 from tests.visitors import (
@@ -88,6 +91,34 @@ def test_commands_matter_and_so_do_their_steps() -> None:
         fields["commands"] = episode.commands[:index] + episode.commands[index + 1 :]
         missed += not same(replay_episode(SavedEpisode(**fields), find), episode)
     assert missed >= 2
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_replay_computes_on_one_thread_and_closes_what_it_opened(
+    raises: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episode = played(0, 50).episodes[-1]
+    encode = FakePolicy.encode
+    threads: list[int] = []
+    closed: list[object] = []
+
+    def watched(self: FakePolicy, views: Array, state: Array) -> Encoded:
+        threads.append(torch.get_num_threads())
+        if raises and len(threads) == 3:
+            raise RuntimeError("it fell")
+        return encode(self, views, state)
+
+    def opened(*world: Any) -> Environment:
+        env = make_env(*world)
+        close = env.close
+        env.close = lambda: closed.append(close())
+        return env
+
+    monkeypatch.setattr(FakePolicy, "encode", watched)
+    torch.set_num_threads(2)
+    with pytest.raises(RuntimeError, match="fell") if raises else nullcontext():
+        replay_episode(episode, find, opened)
+    assert set(threads) == {1} and torch.get_num_threads() == 2 and len(closed) == 1
 
 
 def test_previews_leave_no_trace_however_many_there_are() -> None:

@@ -25,9 +25,9 @@ from madviz.session.commands import (
     SetSpeed,
     StepOnce,
 )
+from madviz.session.comparison import open_simulation
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import NoFrame
-from madviz.session.opening import open_simulation
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation

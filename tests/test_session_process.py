@@ -38,7 +38,7 @@ from madviz.session.commands import (
     StepOnce,
 )
 from madviz.session.frame import Frame, NoFrame
-from madviz.session.process import MakeSession, Noted, References, SessionProcess
+from madviz.session.process import MakeSession, References, SessionProcess
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
 from madviz.types import Future
@@ -57,8 +57,21 @@ def deadly(name: str) -> FakePolicy:
 class MakeDeadly:
     """A session whose first policy ends its process when it is loaded."""
 
-    def __call__(self, noted: Noted) -> Session:
-        return Session(make_env, "deadly", deadly)
+    def __call__(self, policy: str | None = None) -> Session:
+        return Session(make_env, policy or "deadly", deadly)
+
+
+def filed(name: str) -> FakePolicy:
+    """A ``load_policy`` of a folder whose policy has another name than the folder."""
+    return FakePolicy("toy-other", seed=3) if name == "runs/mine" else policies(name)
+
+
+@dataclass(frozen=True)
+class MakeFiled:
+    """A session that finds policies in a folder, too."""
+
+    def __call__(self, policy: str | None = None) -> Session:
+        return Session(make_env, policy or "toy-mad", filed)
 
 
 @dataclass(frozen=True)
@@ -68,12 +81,10 @@ class Make:
     ends: bool = False
     """Whether its process ends by itself, as native code may make it, at every start."""
 
-    def __call__(self, noted: Noted) -> Session:
+    def __call__(self, policy: str | None = None) -> Session:
         if self.ends:
             os.kill(os.getpid(), signal.SIGSEGV)
-        policy = FakePolicy()
-        noted("toy-mad", policy.spec)
-        session = Session(make_env, policy, policies, seed=3)
+        session = Session(make_env, policy or FakePolicy(), policies, seed=3)
         session.send(Pause())
         return session
 
@@ -212,9 +223,20 @@ def test_a_session_in_a_process_obeys_and_saves_as_one_here():
         np.testing.assert_array_equal(there.action, last.action)
         assert one.session.save().episodes[-1].steps == here.save().episodes[-1].steps == 2
         assert one.session.save().episodes[-1].trace == here.save().episodes[-1].trace
-        assert one.references.noted(there.world.policy) == "toy-mad"
         process = one.session._process
     assert process is not None and not process.is_alive()
+
+
+def test_a_policy_keeps_the_name_by_which_it_was_loaded():
+    def mine(news: Frame | NoFrame) -> bool:
+        return isinstance(news, Frame) and news.world.policy.name == "toy-other"
+
+    with watched(MakeFiled()) as one:
+        one.session.send(SetPolicy("runs/mine"))
+        for after in (0, one.kill):  # Another process loads it by that name, too.
+            found = one.until(mine, after() if callable(after) else after)
+            assert isinstance(found, Frame) and found.world.reference == "runs/mine"
+            assert one.references.name_of(found.world.policy) == "runs/mine"
 
 
 def test_a_process_that_dies_is_started_again_with_the_same_seed_and_cameras():
@@ -313,7 +335,7 @@ def test_a_second_end_before_the_first_frame_still_knows_seed_and_cameras():
     session._read(ours)
     for end in ("first", "second"):
         session._publish(NoFrame("", f"the {end} end"))
-        began = session._beginning().commands
+        began = session._beginning()[1]
         assert all(one in began for one in (SetCamera("third_a", OFF), SetSeed(41), Pause()))
         ours, theirs = Pipe()
         theirs.close()

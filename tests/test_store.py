@@ -1,17 +1,17 @@
 """The cache of results: what it keeps, what it keeps apart, and how it takes a beating."""
 
 import os
-import resource
 import sqlite3
 import subprocess
 import sys
 import threading
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 
 import pytest
 
-from madviz.measure.store import MEMORY, EpisodeResult, ResultKey, Store, default_path
+from madviz.measure.store import MEMORY, EpisodeResult, ResultKey, Store
+from tests.disks import room_for
 
 KEY = ResultKey("d1", "toy/reach", "at the last step", "fast", "", "all")
 
@@ -67,9 +67,9 @@ def test_memory_store_needs_no_file(tmp_path, monkeypatch):
     assert store.results(KEY) and not list(tmp_path.iterdir())
 
 
-def test_default_path_follows_xdg(monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
-    assert str(default_path()) == "/somewhere/madviz/results.sqlite"
+def test_default_path_follows_xdg(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert Store().path == str(tmp_path / "madviz" / "results.sqlite")
 
 
 @pytest.mark.parametrize(
@@ -160,22 +160,11 @@ def test_many_processes_write_at_once(store):
     assert store.results(KEY) == {seed: episode(seed) for seed in range(150)}
 
 
-@contextmanager
-def full_disk():
-    """No file of this process can grow meanwhile."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_on_a_full_disk_it_goes_on_in_memory_and_says_so(store):
     store.put(KEY, episode(1))
     assert store.trouble == ""
     path = store.path
-    with full_disk(), pytest.warns(UserWarning, match="results stay in memory only"):
+    with room_for(), pytest.warns(UserWarning, match="results stay in memory only"):
         store.put(KEY, episode(2))
     assert store.trouble.startswith(path) and "memory only" in store.trouble
     store.put(KEY, episode(3))

@@ -71,6 +71,7 @@ def test_what_was_measured_is_in_the_file_though_it_cannot_be_printed(tmp_path: 
 def test_a_training_goes_on_when_nobody_reads_what_it_says(tmp_path: Path) -> None:
     options = "--light.rounds 2 --light.demonstrations 2 --light.critic-updates 2"
     options += " --light.episodes-per-round 2 --light.updates-per-round 3"
+    options += " --light.batch-size 4 --light.hidden-dim 16"
     ended = shell(f"madviz train --task toy/reach --out run {options} 2>&1 | true", tmp_path)
     assert ended.returncode == 0
     assert (tmp_path / "run" / "resume" / "finished").exists()

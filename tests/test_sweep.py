@@ -16,10 +16,12 @@ import pytest
 from madviz import cli
 from madviz.errors import UserError
 from madviz.sweep import sweep
-from madviz.sweep.run import Run, RunOutcome, carry_out, claimed, expected_seconds
+from madviz.sweep.run import CLAIM, Run, RunOutcome, carry_out, expected_seconds
 from madviz.sweep.sweep import LocalBackend, Watch, carry_all_out, run_sweep
 from madviz.sweep.sweep_plan import read_plan
-from tests.sweeps import assert_done_once, config, lines, stand_in, sweep_file, wait_for
+from madviz.system.lock import locked
+from tests.pages import await_that
+from tests.sweeps import assert_done_once, config, lines, stand_in, sweep_file
 
 
 @pytest.fixture
@@ -98,12 +100,12 @@ def test_a_killed_sweep_goes_on_where_it_was(
 ) -> None:
     out, file = tmp_path / "out", sweep_file(tmp_path, rounds=30, pause=20)
     process = subprocess.Popen(script(tmp_path, program, file), stderr=subprocess.DEVNULL)
-    wait_for(lambda: any(len(f.read_text().split()) > 5 for f in out.glob("*/policy/steps.txt")))
+    await_that(lambda: any(len(f.read_text().split()) > 5 for f in out.glob("*/policy/steps.txt")))
     assert not list(out.glob("*/result.json"))
     process.send_signal(how)
     process.wait(20)
     # The trainings end with their sweep, in mid-run.
-    wait_for(lambda: all(free(folder) for folder in out.iterdir()))
+    await_that(lambda: all(free(folder) for folder in out.iterdir()))
     cut = [len(f.read_text().split()) for f in out.glob("*/policy/steps.txt")]
     assert max(cut) < 30
     result = run_sweep(config(tmp_path, rounds=30, pause=20, jobs=2), program)
@@ -112,7 +114,7 @@ def test_a_killed_sweep_goes_on_where_it_was(
 
 
 def free(folder: Path) -> bool:
-    with claimed(folder) as claim:
+    with locked(folder / CLAIM) as claim:
         return claim is not None
 
 
@@ -127,24 +129,24 @@ def test_a_run_that_somebody_else_works_on_waits_its_turn(
     tmp_path: Path, program: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweep, "BUSY_SECONDS", 0.1)
-    plan = read_plan(sweep_file(tmp_path))
-    folder = tmp_path / "out" / plan.runs[0].name
+    runs = read_plan(sweep_file(tmp_path))
+    folder = tmp_path / "out" / runs[0].name
     folder.mkdir(parents=True)
-    with claimed(folder) as claim:
+    with locked(folder / CLAIM) as claim:
         assert claim is not None
-        assert carry_out(plan.runs[0], tmp_path / "out", program).state == "busy"
+        assert carry_out(runs[0], tmp_path / "out", program).state == "busy"
         held = os.dup(claim)
 
     def release() -> None:
-        wait_for(lambda: len(list((tmp_path / "out").glob("*/result.json"))) == 3)
+        await_that(lambda: len(list((tmp_path / "out").glob("*/result.json"))) == 3)
         os.close(held)
 
     somebody = threading.Thread(target=release)
     somebody.start()
-    outcomes = carry_all_out(plan.runs, LocalBackend(tmp_path / "out", 1, program), Watch(4, 4))
+    outcomes = carry_all_out(runs, LocalBackend(tmp_path / "out", 1, program), Watch(4, 4))
     somebody.join()
     assert {outcome.state for outcome in outcomes.values()} == {"finished"}
-    assert list(outcomes)[-1] == plan.runs[0].name  # The others went first.
+    assert list(outcomes)[-1] == runs[0].name  # The others went first.
 
 
 def test_the_time_left_counts_what_runs_and_what_waits() -> None:

@@ -23,18 +23,18 @@ def test_a_file_expands_to_runs_whose_names_say_what_varies(tmp_path: Path) -> N
         '[[grid]]\ntasks = ["metaworld/push"]\nmethods = ["merged-only"]\nseeds = [7]\n'
         '[eval]\nepisodes = 9\nseed = 5000\nsubsets = ["all", "first"]\n'
     )
-    plan = read_plan(file)
-    assert plan.name == "alpha" and [run.name for run in plan.runs] == [
+    runs = read_plan(file)
+    assert [run.name for run in runs] == [
         "metaworld-hammer-mad-three-rgbd-light-alpha0.2-seed1",
         "metaworld-hammer-mad-three-rgbd-light-alpha1.0-seed1",
         "metaworld-push-merged-only-light-seed7",
     ]
-    words = " ".join(plan.runs[0].train)
+    words = " ".join(runs[0].train)
     assert words == (
         "--task metaworld/hammer --method mad --setting three-rgbd --recipe light --seed 1 "
         "--light.alpha 0.2 --light.critic-updates 0"
     )
-    assert plan.runs[2].evaluate == (
+    assert runs[2].evaluate == (
         "--episodes",
         "9",
         "--seed",
@@ -55,7 +55,7 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
         '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = [4]\n[grid.train]\n'
         'light.rounds = 2\nlight.keep-episodes = true\n[eval]\nsubsets = ["all", "none"]\n'
     )
-    run = read_plan(file).runs[0]
+    run = read_plan(file)[0]
     if command == "train":
         found = cli.parse("train", run.train)
         assert (found.seed, found.light.rounds, found.light.keep_episodes) == (4, 2, True)
@@ -118,7 +118,7 @@ def test_an_option_counts_for_the_recipe_that_has_it(tmp_path: Path) -> None:
     file = tmp_path / "two.toml"
     grid = '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n'
     file.write_text(f'{grid}recipes = ["light", "paper"]\n[grid.train]\nlight.alpha = [0.2, 0.8]\n')
-    light, other, paper = read_plan(file).runs
+    light, other, paper = read_plan(file)
     assert [run.name for run in (light, other, paper)] == [
         "toy-reach-mad-light-alpha0.2-seed1",
         "toy-reach-mad-light-alpha0.8-seed1",

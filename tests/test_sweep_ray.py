@@ -18,7 +18,8 @@ from madviz.errors import UserError
 from madviz.sweep.ray import RayBackend
 from madviz.sweep.run import Run, RunOutcome
 from madviz.sweep.sweep import SweepConfig, run_sweep
-from tests.sweeps import assert_done_once, config, stand_in, wait_for
+from tests.pages import await_that
+from tests.sweeps import assert_done_once, config, stand_in
 
 
 @pytest.fixture
@@ -141,10 +142,10 @@ def test_on_ray_a_killed_node_costs_nothing_that_was_finished(
     out, results = tmp_path / "out", []
     work = threading.Thread(target=lambda: results.append(run_sweep(asked, program)))
     work.start()
-    wait_for(lambda: len(list(out.glob("*/policy/steps.txt"))) == 2, seconds=60)
-    wait_for(lambda: len(list(out.glob("*/result.json"))) == 2, seconds=60)
+    await_that(lambda: len(list(out.glob("*/policy/steps.txt"))) == 2, patience=60)
+    await_that(lambda: len(list(out.glob("*/result.json"))) == 2, patience=60)
     before = {file: file.stat().st_mtime_ns for file in out.glob("*/result.json")}
-    wait_for(lambda: len(list(out.glob("*/policy/steps.txt"))) == 4, seconds=60)
+    await_that(lambda: len(list(out.glob("*/policy/steps.txt"))) == 4, patience=60)
     time.sleep(0.5)
     both, second = cluster
     both.remove_node(second, allow_graceful=False)

@@ -20,12 +20,10 @@ def test_one_sweep_trains_the_policies_of_a_table_again(tmp_path: Path) -> None:
     config["training"]["command"] += " --light.alpha 0.8 --light.no-standard-state --out x"
     file.write_text(json.dumps(config))
     report(tmp_path)
-    overall = read_plan(tmp_path / "sweeps" / "overall.toml").runs
+    overall = read_plan(tmp_path / "sweeps" / "overall.toml")
     assert sorted(run.train[3] for run in overall) == ["mad", "merged-only"]
     assert overall[0].evaluate == ("--episodes", "100", "--seed", "5000")
-    plain, changed = sorted(
-        read_plan(tmp_path / "sweeps" / "alpha.toml").runs, key=lambda r: r.name
-    )
+    plain, changed = sorted(read_plan(tmp_path / "sweeps" / "alpha.toml"), key=lambda r: r.name)
     assert plain.name == "metaworld-hammer-mad-light-alpha0.8-standard-stateFalse-seed1"
     assert changed.name == "metaworld-hammer-mad-light-seed1"
 
@@ -40,7 +38,7 @@ def test_a_sweep_has_every_training_of_its_table(tmp_path: Path) -> None:
                 folder=f"{method}-{seed}",
             )  # fmt: skip
     report(tmp_path)
-    assert len(read_plan(tmp_path / "sweeps" / "overall.toml").runs) == 8
+    assert len(read_plan(tmp_path / "sweeps" / "overall.toml")) == 8
 
 
 def test_a_training_that_was_stopped_is_made_as_long_as_it_got(tmp_path: Path) -> None:
@@ -51,5 +49,5 @@ def test_a_training_that_was_stopped_is_made_as_long_as_it_got(tmp_path: Path) -
     config["training"]["command"] += " --paper.steps 150000 --out x"
     file.write_text(json.dumps(config))
     report(tmp_path)
-    (run,) = read_plan(tmp_path / "sweeps" / "scratch.toml").runs
+    (run,) = read_plan(tmp_path / "sweeps" / "scratch.toml")
     assert run.train[run.train.index("--paper.steps") + 1] == "90816"

@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.tour import HELP, Tour, keys_table
+from madviz.app.tour import HELP, Tour
 from madviz.app.tour_steps import GOES_AT, acts, comparison_steps, steps
 from madviz.envs.registry import make_env
 from madviz.observation.ablation import CameraState, Occlusion
@@ -32,6 +32,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy
 from tests.pages import browser, use
+from tests.sessions import with_world
 
 PAIR = {
     "toy-mad-light": FakePolicy("toy-mad-light"),
@@ -72,7 +73,7 @@ def table() -> Iterator[Table]:
 def test_steps_that_make_no_sense_here_are_left_out(table: Table):
     titles = [step.title for step in steps(table.frame, CHOICES)]
     assert len(titles) == 8 and "Another policy" in titles
-    assert len(steps(table.frame, CHOICES[:1])) == 7
+    assert len(list(steps(table.frame, CHOICES[:1]))) == 7
     for step in steps(table.frame, CHOICES):
         assert 60 < len(step.words) < 320
 
@@ -151,8 +152,8 @@ def test_a_tour_clicked_through_fast_brings_the_policy_back(
 def test_a_policy_comes_back_by_what_it_was_loaded_by(table: Table, server: viser.ViserServer):
     """Its own name is that of another: the shipped one."""
     sent: list = []
-    still, named = table.frame, lambda spec: f"runs/{spec.name}"
-    tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [], named)
+    still = with_world(table.frame, reference="runs/toy-mad-light")
+    tour = Tour(browser(server), sent.append, lambda: still, CHOICES, [])
     tour.begin()
     for _ in range(5):
         tour.next()
@@ -390,16 +391,24 @@ def test_a_watcher_is_offered_help_and_no_tour(table: Table, server: viser.Viser
 
 
 def test_help_has_the_words_and_the_keys():
-    table = keys_table([("space", "Play or pause"), ("1", "Drop First person")])
-    assert "| **space** | Play or pause |" in table and table.count("\n") == 3
     for word in ("off", "black", "merged", "Q", "action"):
         assert f"**{word}**" in HELP
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        client = browser(server)
+        keys = [("Play or pause", "space", print), ("Drop First person", "1", print)]
+        Tour(client, None, lambda: None, [], keys).help()
+        words, table = (one.content for one in client.gui.of("GuiMarkdownHandle"))
+        assert words == HELP
+        assert "| **space** | Play or pause |" in table and table.count("\n") == 3
+    finally:
+        server.stop()
 
 
 def test_help_that_is_asked_for_again_takes_the_place_of_the_first() -> None:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        tour = Tour(browser(server), None, lambda: None, [], [("?", "help")])
+        tour = Tour(browser(server), None, lambda: None, [], [("help", "?", print)])
         for _ in range(5):
             tour.help()
         assert len(server.gui._modal_handle_from_uuid) == 1

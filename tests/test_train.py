@@ -25,10 +25,17 @@ from madviz.runs.training_plan import TrainingPlan
 from madviz.training.config import TrainConfig, command, identity, resolve
 from madviz.training.light import LightConfig
 from madviz.training.train import train
+from tests.plans import record_inline
 
 TINY = LightConfig(
-    rounds=2, demonstrations=2, episodes_per_round=4, updates_per_round=3, critic_updates=2
-)
+    rounds=2, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4,
+    critic_updates=2, hidden_dim=16,
+)  # fmt: skip
+
+
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    record_inline(monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +114,7 @@ label = "Third B"
 """
 
 
+@pytest.mark.usefixtures("inline")
 def test_a_finished_run_keeps_the_policy_alone_and_has_nothing_left_to_do(tmp_path: Path) -> None:
     config = TrainConfig("toy/reach", out=tmp_path, light=replace(TINY, rounds=1))
     train(config, lambda event: None)
@@ -127,6 +135,7 @@ def test_an_interrupted_training_says_how_to_go_on(number: int, code: int, tmp_p
     words = ["train", "--task", "toy/reach", "--out", str(tmp_path / "a run")]
     words += ["--light.rounds", "40", "--light.demonstrations", "2", "--light.critic-updates", "2"]
     words += ["--light.episodes-per-round", "2", "--light.updates-per-round", "3"]
+    words += ["--light.batch-size", "4", "--light.hidden-dim", "16"]
     with subprocess.Popen(
         [sys.executable, "-m", "madviz", *words],
         stdout=subprocess.PIPE,
@@ -145,10 +154,11 @@ def test_an_interrupted_training_says_how_to_go_on(number: int, code: int, tmp_p
     goes_on = shlex.split(last.partition("resume with: ")[2])
     assert cli.parse("train", goes_on[2:]) == replace(
         again,
-        light=LightConfig(40, 2, 2, 3, critic_updates=2),
+        light=LightConfig(40, 2, 2, 3, batch_size=4, critic_updates=2, hidden_dim=16),
     )
 
 
+@pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("resume", [False, True])
 def test_two_trainings_do_not_share_a_folder(resume: bool, tmp_path: Path) -> None:
     config = TrainConfig("toy/reach", out=tmp_path / "run", light=TINY)
@@ -172,6 +182,7 @@ def test_a_refused_run_leaves_nothing(tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("inline")
 def test_a_resumed_run_has_the_same_cameras_wherever_their_file_is(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(CAMERAS.format(size=84))

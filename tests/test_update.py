@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,14 +21,6 @@ from madviz.agent.update import Learner, LearningConfig
 
 NETWORKS = NetworkConfig(state_dim=5, action_dim=2, hidden_dim=16)
 BATCH = random_batch(4, 3, NETWORKS)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def make(seed: int = 0, **config: Any) -> Learner:

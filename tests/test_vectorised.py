@@ -23,13 +23,12 @@ from madviz.observation.ablation import Ablation
 from madviz.policies.checkpoint import load_policy
 from madviz.runs import reward_run
 from madviz.runs.drawn_task import DrawnTask
-from madviz.runs.run_folder import Event
 from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.paper import ShiftingPolicy
 from madviz.training.vectorised import VectorisedConfig
 from tests.fakes import FakePolicy, random_policy
-from tests.recipe_runs import last_state
+from tests.recipe_runs import assert_same_run, curve, last_state, stops_at
 
 STREAMS = ("first.rgb", "first.depth", "third_b.rgb")
 TASK = DrawnTask("toy/reach", "fast", CAMERAS, STREAMS)
@@ -48,26 +47,6 @@ def run(
         vectorised=config,
     )  # fmt: skip
     return last_state(whole, listener)
-
-
-def curve(folder: Path) -> list[dict[str, str]]:
-    """The curve without its clock."""
-    with (folder / "curve.csv").open() as file:
-        return [
-            {
-                k: v
-                for k, v in row.items()
-                if not k.startswith("seconds") and not k.endswith("per_s")
-            }
-            for row in csv.DictReader(file)
-        ]
-
-
-def assert_same_run(one: dict[str, Any], other: dict[str, Any]) -> None:
-    for name, weight in one["learner"]["agent"].items():
-        assert torch.equal(weight, other["learner"]["agent"][name]), name
-    for key in ("step", "updates", "episodes", "rng", "episode_seeds"):
-        assert one[key] == other[key], key
 
 
 @pytest.fixture(scope="module")
@@ -163,12 +142,8 @@ def test_a_stopped_run_goes_on_in_mid_episode_and_ends_the_same(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def interrupt(event: Event) -> None:
-        if event["kind"] == "progress" and event["step"] == 66:
-            os.kill(os.getpid(), signal.SIGINT)
-
     monkeypatch.setattr(reward_run, "PROGRESS_SECONDS", 0)
-    state = run(tmp_path / "run", listener=interrupt)
+    state = run(tmp_path / "run", listener=stops_at(66))
     assert state["step"] == 66 and not state["between_episodes"]
     state = run(tmp_path / "run", replace(TINY, workers=1), resume=True)
     assert_same_run(state, undisturbed[1])

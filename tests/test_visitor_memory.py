@@ -8,7 +8,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -23,6 +23,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 from websockets.uri import parse_uri
 
+from benchmarks.visitor import Visitor
 from madviz.app import connection
 from madviz.app.connection import BURST, LARGEST, PACE, Pace, is_downloading
 from madviz.app.server import App
@@ -40,17 +41,9 @@ from madviz.session.commands import Pause, SetCamera
 from madviz.session.live_session import MOST_WAITING
 from madviz.session.process import SessionProcess
 from madviz.session.session import Session
-from madviz.soak.visitor import Visitor
 from tests.fakes import FakePolicy, policies
-from tests.pages import browser, fake_app
+from tests.pages import browser, fake_app, sessions_shown, until
 from tests.sessions import BLACK, OFF
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +123,7 @@ def test_whoever_floods_is_read_later_and_others_go_on(
         seconds = time.monotonic() - began
         assert len(heard) <= burst + pace * (seconds + 1)
         assert open_.server._thread_executor._work_queue.qsize() < 20
-        session = open_.users.session_of(client.client_id)
+        session = sessions_shown(open_.users)[client.client_id]
         assert isinstance(session, Session) and len(session.inbox) <= MOST_WAITING
         until(lambda: len(other.steps) > seen + 5)
 
@@ -223,7 +216,7 @@ def test_commands_that_wait_have_a_bound() -> None:
 
 
 def test_what_waits_for_a_process_has_a_bound_too() -> None:
-    process = SessionProcess(lambda noted: Session(make_env, FakePolicy(), policies))
+    process = SessionProcess(lambda policy: Session(make_env, policy or FakePolicy(), policies))
     for _ in range(MOST_WAITING):
         process.send(SetCamera("first", OFF))
     with pytest.raises(UserError, match=f"at most {MOST_WAITING} commands"):

@@ -7,10 +7,9 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import types
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -29,14 +28,8 @@ from madviz.widgets.explorer import MOST
 from madviz.widgets.explorer_table import ROWS, table_html
 from madviz.widgets.questions import control_for
 from tests.fakes import AllOrNothing, Chunked, FakePolicy
+from tests.pages import until
 from tests.sessions import frame_with
-
-
-def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import cache
 from typing import Any, get_args
 
 import numpy as np
@@ -81,8 +82,10 @@ def random_command(rng: np.random.Generator, step: int) -> Any:
     return Fork() if draw < 0.98 else Reset(next_seed=bool(rng.integers(2)))
 
 
+@cache
 def played(seed: int, steps: int) -> SavedSession:
-    """A session with a wild visitor, who also clicks while pictures are drawn."""
+    """A session with a wild visitor, who also clicks while pictures are drawn. Nobody changes
+    it."""
     rng, world = np.random.default_rng(seed), []
     session = session_with(world, seed=seed)
 

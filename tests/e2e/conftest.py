@@ -13,7 +13,7 @@ from playwright import sync_api as playwright_api
 
 from madviz.app.access import Gate
 from madviz.app.layout import Shared
-from madviz.app.server import Address, App
+from madviz.app.server import App
 from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
@@ -24,7 +24,7 @@ from madviz.session.session import Session
 from madviz.system.browser import CHROMIUM_FLAGS, find_browser
 from madviz.training.job import TrainingJob
 from tests.fakes import policies
-from tests.pages import choices_of
+from tests.pages import choices_of, seats, sessions_shown
 
 PICTURES = Path(__file__).parents[2] / "build" / "e2e"
 PATIENCE = 60_000
@@ -85,7 +85,7 @@ def toy_app(visitors: int, gate: Gate | None = None) -> App:
         return Session(make_env, policies("toy-mad"), policies)
 
     shared = Shared(choices_of(*names), rates, training)
-    return App(new_session, shared, Address(gate=gate), Limits(visitors))
+    return App(new_session, shared, Limits(visitors), gate=gate)
 
 
 class Visitor:
@@ -190,8 +190,8 @@ def long_visit(browser, app: App) -> Visitor:
 @pytest.fixture
 def visitor(long_visit: Visitor, app: App) -> Visitor:
     """The shared page, as if it had just been opened."""
-    wait_until(lambda: app.users.sessions == 1)
-    (session,) = filter(None, map(app.users.session_of, app.server.get_clients()))
+    wait_until(lambda: seats(app.users)[0] == 1)
+    (session,) = sessions_shown(app.users).values()
     latest = session.latest
     assert isinstance(latest, Frame)
     for command in (SetPolicy("toy-mad"), SetSpeed(10.0), Reset(), Play()):

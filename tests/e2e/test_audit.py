@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from madviz.app.layout import Shared
-from madviz.app.server import Address, App
+from madviz.app.server import App
 from madviz.app.success_rates import SuccessRates
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
@@ -28,7 +28,7 @@ def test_an_audit_is_started_on_the_page_and_comes_to_verdicts(
     rates = SuccessRates(make_evaluator=lambda listener: Measured(listener))  # type: ignore
     training = TrainingJob(Path(tempfile.mkdtemp(prefix="madviz-runs-")))
     shared = Shared(choices_of("toy-mad"), rates, training)
-    app = App(new_session, shared, Address(), Limits(1))
+    app = App(new_session, shared, Limits(1))
     try:
         visitor = visit(app.url)
         visitor.page.get_by_role("tab", name="More").click()

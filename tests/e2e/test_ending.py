@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from madviz.app.server import App
 from madviz.session.commands import Pause, Reset, SetAutoNext
 from madviz.session.frame import Frame
 from tests.e2e.conftest import PATIENCE, Visitor
+from tests.pages import sessions_shown
 
 LINES = """() => Object.fromEntries(['a/taken', 'a/intact', 'b/taken', 'b/intact'].map(name => {
   let lines = 0;
@@ -33,8 +33,7 @@ def shown(visitor: Visitor, lines: int) -> dict[str, int]:
 def test_an_ending_draws_both_paths_of_the_hand_and_says_how_far_they_are_apart(
     visitor: Visitor, app: App
 ):
-    (client,) = app.server.get_clients().values()
-    session: Any = app.users.session_of(client.client_id)
+    (session,) = sessions_shown(app.users).values()
     # Nothing of it passes by while a slow browser looks: it begins paused, and its end stays.
     for command in (SetAutoNext(False), Pause(), Reset()):
         session.send(command)

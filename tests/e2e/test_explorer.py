@@ -6,6 +6,7 @@ from madviz.app.server import App
 from madviz.session.commands import Pause, Reset, StepOnce
 from madviz.session.session_reader import read_session
 from tests.e2e.conftest import PATIENCE, Visitor
+from tests.pages import sessions_shown
 
 
 def open_tab(visitor: Visitor, *names: str) -> None:
@@ -16,7 +17,7 @@ def open_tab(visitor: Visitor, *names: str) -> None:
 def paused_at(visitor: Visitor, app: App, step: int) -> None:
     """The seed again, and ``step`` decisions of it; a toy episode is too short to press pause in
     time on a busy machine."""
-    (session,) = filter(None, map(app.users.session_of, app.server.get_clients()))
+    (session,) = sessions_shown(app.users).values()
     for command in (Reset(), Pause(), *[StepOnce()] * step):
         session.send(command)
     visitor.until(f"status.phase === 'paused' && status.step === '{step}'")

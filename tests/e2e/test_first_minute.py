@@ -8,7 +8,7 @@ import pytest
 
 from madviz.app.layout import Shared
 from madviz.app.panels.policy import PolicyChoice
-from madviz.app.server import Address, App
+from madviz.app.server import App
 from madviz.app.users import Limits
 from madviz.envs.registry import make_env
 from madviz.session.session import Session
@@ -28,7 +28,7 @@ def greeting_app() -> Iterator[App]:
     def new_session() -> Session:
         return Session(make_env, PAIR["toy-mad-light"], PAIR.__getitem__)
 
-    app = App(new_session, Shared(choices), Address(), Limits(2))
+    app = App(new_session, Shared(choices), Limits(2))
     yield app
     app.stop()
 

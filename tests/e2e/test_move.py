@@ -15,6 +15,7 @@ from madviz.app.server import App
 from madviz.observation.displacement import MoveCamera
 from madviz.session.frame import Frame
 from tests.e2e.conftest import PATIENCE, Visitor
+from tests.pages import sessions_shown
 
 RING = 0.65
 """Radius of a ring, as a share of an arrow's length."""
@@ -27,7 +28,7 @@ def paused(visitor: Visitor, app: App) -> Iterator[Visitor]:
     visitor.until("status.phase === 'paused'")
     visitor.dismiss()
     yield visitor
-    for session in filter(None, map(app.users.session_of, app.server.get_clients())):
+    for session in sessions_shown(app.users).values():
         for camera in ("first", "third_a", "third_b"):
             session.send(MoveCamera(camera, None))
     visitor.close_breaks()
@@ -141,8 +142,8 @@ def arrows(paused: Visitor, app: App) -> Iterator[Place]:
     """Third A has its arrows, seen from above it, where no ring is behind another one."""
     page = paused.page
     (client,) = app.server.get_clients().values()
-    session = app.users.session_of(client.client_id)
-    assert session is not None and isinstance(session.latest, Frame)
+    session = sessions_shown(app.users)[client.client_id]
+    assert isinstance(session.latest, Frame)
     pose = session.latest.world.poses["third_a"]
     # Of the scene as it was when the page was opened, hence not known from this frame.
     size = client.scene._handle_from_transform_controls_name["/moved"].scale

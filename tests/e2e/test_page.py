@@ -13,6 +13,7 @@ from madviz.drawing.viewpoint import WIDTH_ON_BODY, extent
 from madviz.session.frame import Frame
 from madviz.types import CameraPose
 from tests.e2e.conftest import PATIENCE, Visitor, arrive, toy_app, wait_until
+from tests.pages import seats, sessions_shown
 
 
 def grey(pixels: list[list[int]]) -> float:
@@ -208,8 +209,8 @@ def test_keys(visitor: Visitor):
 
 def test_a_click_on_a_frustum_drops_its_camera(visitor: Visitor, app: App):
     (client,) = app.server.get_clients().values()
-    session = app.users.session_of(client.client_id)
-    assert session is not None and isinstance(session.latest, Frame)
+    session = sessions_shown(app.users)[client.client_id]
+    assert isinstance(session.latest, Frame)
     visitor.press("pause")
     visitor.until("status.phase === 'paused'")
     visitor.page.wait_for_timeout(1500)  # It rides on the hand; until it is drawn, it is elsewhere.
@@ -271,16 +272,16 @@ def test_two_visitors_do_not_disturb_each_other(visitor: Visitor, visit, app: Ap
     visitor.until("status.setting === 'third_a+third_b'")
     other.until("status.setting.includes('third_b:black')")
     assert visitor.status("setting") == "third_a+third_b"
-    assert app.users.sessions == 2
+    assert seats(app.users)[0] == 2
 
 
 def test_a_closed_page_frees_its_session(visitor: Visitor, visit, app: App):
-    wait_until(lambda: app.users.sessions == 1)
+    wait_until(lambda: seats(app.users)[0] == 1)
     before = our_threads()
     other = visit(app.url)
     assert len(our_threads()) == len(before) + 2  # The session's and the page's.
     other.close()
-    wait_until(lambda: app.users.sessions == 1)
+    wait_until(lambda: seats(app.users)[0] == 1)
     wait_until(lambda: our_threads() == before)
 
 
@@ -295,11 +296,11 @@ def test_over_the_cap_one_watches_and_then_inherits(visit):
     owner, watcher = visit(app.url), visit(app.url)
     assert watcher.page.get_by_text("You are watching").is_visible()
     assert watcher.page.get_by_role("button", name="off").count() == 0
-    assert (app.users.sessions, app.users.watchers) == (1, 1)
+    assert seats(app.users) == (1, 1, 0)
     owner.press("off", camera=1)
     watcher.until("status.setting === 'first+third_b'")
     owner.close()
     watcher.page.get_by_role("button", name="off").first.wait_for(timeout=PATIENCE)
     watcher.until("status.setting === 'all'")
-    assert (app.users.sessions, app.users.watchers) == (1, 0)
+    assert seats(app.users) == (1, 0, 0)
     app.stop()
