@@ -51,7 +51,11 @@ def assert_same_run(one: dict[str, Any], other: dict[str, Any]) -> None:
     """Two last states are of one run: weights, random numbers and everything that is counted."""
     for name, weight in one["learner"]["agent"].items():
         assert torch.equal(weight, other["learner"]["agent"][name]), name
-    assert one["learner"]["rng"] == other["learner"]["rng"]
+    assert one["learner"].get("rng") == other["learner"].get("rng")
+    drawn = {"generator", "noise"} & {*one["learner"]}  # By recipe.
+    assert drawn
+    for key in drawn:
+        assert torch.equal(one["learner"][key], other["learner"][key]), key
     counted = ("step", "updates", "episodes", "rng", "episode_seeds")
     in_some_recipes = {"drawn", "losses"} & {*one, *other}
     for key in (*counted, *in_some_recipes):
