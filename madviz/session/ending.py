@@ -202,7 +202,8 @@ def _what_came_of_it(sides: Sequence[EndedSide]) -> str:
         first = "" if step is None else f", and 1 cm for the first time at step {step}"
         hand = "'s" if parts else "'s hand was"
         reference = "" if parts else " from its path with all cameras"
-        parts.append(f"{side.label}{hand} up to {100 * largest:.1f} cm{reference}{first}")
+        far = "less than 0.1" if largest < 0.001 else f"up to {100 * largest:.1f}"
+        parts.append(f"{side.label}{hand} {far} cm{reference}{first}")
     return f"{'; '.join(parts)}." if parts else ""
 
 
