@@ -50,19 +50,21 @@ def test_a_card_says_that_a_policy_was_chosen_and_its_digest_stays(folder):
     measure(folder, ROWS)
     before, digest = card_text(folder), describe(folder).spec.digest
     for trainings, words in ((2, "the better of two trainings"), (3, "the best of 3 trainings")):
-        (folder / "choice.json").write_text(f'{{"best_of": {trainings}}}')
+        (folder / "origin.json").write_text(f'{{"best_of": {trainings}}}')
         text = card_text(folder)
         assert f"\n- chosen: {words}\n" in text and digest in text
-        source = "`config.json`, `choice.json` and `evaluation.json`"
+        source = "`config.json`, `origin.json` and `evaluation.json`"
         assert (
             text.replace(f"- chosen: {words}\n", "").replace(
                 source, "`config.json` and `evaluation.json`"
             )
             == before
         )
-    for wrong in ('{"best_of": 1}', "{}", '{"best_of": 2, "of": 3}'):
-        (folder / "choice.json").write_text(wrong)
-        with pytest.raises(UserError, match="choice.json: .*restore the file, or remove it"):
+    (folder / "origin.json").write_text('{"script_before": "00ab0ab1"}')
+    assert "\n- script: as it was before revision `00ab0ab1`; with today's, the" in card_text(folder)
+    for wrong in ('{"best_of": 1}', "{}", '{"best_of": 2, "of": 3}', '{"script_before": "old"}'):
+        (folder / "origin.json").write_text(wrong)
+        with pytest.raises(UserError, match="origin.json: .*restore the file, or remove it"):
             card_text(folder)
 
 

@@ -56,7 +56,7 @@ def test_the_threshold_is_for_twenty_tasks_and_the_page_counts_them(tmp_path: Pa
 def test_a_policy_that_was_chosen_among_several_trainings_is_named(tmp_path: Path) -> None:
     folder = write_policy(tmp_path, GOOD)
     assert "**Chosen among several trainings**: none.\n" in report(tmp_path)[1]
-    (folder / "choice.json").write_text('{"best_of": 2}')
+    (folder / "origin.json").write_text('{"best_of": 2}')
     said = "**Chosen among several trainings**: metaworld/hammer is the better of two trainings.\n"
     assert said in report(tmp_path)[1]
 

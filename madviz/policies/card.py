@@ -1,5 +1,5 @@
 """card.md of a policy folder: generated from config.json, evaluation.json and, where there is one,
-choice.json; never typed by hand.
+origin.json; never typed by hand.
 
 A card is shown beside the weights by every code host, so it says first what a reader needs: what
 the policy does, from which cameras it was trained to do it, and how often it succeeds, with
@@ -15,9 +15,9 @@ import msgspec
 
 from madviz.policies import checkpoint
 from madviz.policies.again import command_again
-from madviz.policies.choice import CHOICE, BestOf, choice_of
 from madviz.policies.config import PolicyConfig, TrainingRecord
 from madviz.policies.measured import EvaluationFile, SubsetRow, seeds_of
+from madviz.policies.origin import ORIGIN, Origin, origin_of
 from madviz.policies.seeds import MEASURED
 from madviz.recorded.known import LABEL, is_recording
 from madviz.recorded.robot import FILE as ROBOT
@@ -39,14 +39,14 @@ def card_text(folder: str | Path) -> str:
     policy = checkpoint.describe(folder)
     measured = (policy.path / checkpoint.EVALUATION).is_file()
     evaluation = checkpoint.own_evaluation(policy) if measured else None
-    choice = choice_of(policy.path)
+    origin = origin_of(policy.path)
     sections = [
         _head(policy.config, policy.path.resolve().name),
         _success(evaluation, policy.spec.name, policy.config.task),
         _inputs(policy.config, policy.path),
-        _training(policy.config.training, policy.path.name, choice),
+        _training(policy.config.training, policy.path.name, origin),
         f"Digest of weights and config: `{policy.spec.digest}`.",
-        _source(policy.config.task, choice),
+        _source(policy.config.task, origin),
     ]
     return "\n\n".join(sections) + "\n"
 
@@ -111,10 +111,10 @@ def _success_cells(subset: str, row: SubsetRow) -> list[str]:
     ]
 
 
-def _source(task: str, choice: BestOf | None) -> str:
+def _source(task: str, origin: Origin | None) -> str:
     if is_recording(task):
         return f"Generated from `config.json` and `{ROBOT}` by `madviz train`; not edited."
-    first = f"`config.json`, `{CHOICE}`" if choice else "`config.json`"
+    first = f"`config.json`, `{ORIGIN}`" if origin else "`config.json`"
     return f"Generated from {first} and `evaluation.json` by `madviz eval --card`; not edited."
 
 
@@ -154,7 +154,7 @@ def _camera_cells(camera: CameraSpec) -> list[str]:
     ]
 
 
-def _training(training: TrainingRecord, name: str, choice: BestOf | None) -> str:
+def _training(training: TrainingRecord, name: str, origin: Origin | None) -> str:
     """Whatever the recipe wrote down; the command first, alone on its line, to be copied."""
     lines = ["## How it was trained", ""]
     if training.command is not None:
@@ -162,8 +162,10 @@ def _training(training: TrainingRecord, name: str, choice: BestOf | None) -> str
     for key, value in msgspec.to_builtins(training).items():
         if key != "command":
             lines.append(f"- {_title(key)}: {_plain(value)}")
-    if choice:
-        lines.append(f"- chosen: {choice}")
+    if origin and origin.choice:
+        lines.append(f"- chosen: {origin.choice}")
+    if origin and origin.script:
+        lines.append(f"- script: {origin.script}")
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@
     weights.safetensors  encoder, actor and critic, half precision                 (this file)
     evaluation.json      what ``madviz eval --card`` measured                      (evaluate.py)
     curve.csv            success and losses while it was trained                   (train.py)
-    choice.json          among how many trainings it was chosen, if it was         (choice.py)
+    origin.json          how it was chosen, or by which script taught, if that counts (origin.py)
     card.md              generated from the JSON files                             (card.py)
 
 Loading needs nothing else, runs no code from the folder (no pickle), and is strict: a tensor that

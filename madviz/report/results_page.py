@@ -10,7 +10,7 @@ from madviz.measure.evidence import Evidence
 from madviz.measure.readings import readings, times_read
 from madviz.measure.statistics import SuccessRate
 from madviz.policies.checkpoint import WEIGHTS
-from madviz.policies.choice import choice_of
+from madviz.policies.origin import origin_of
 from madviz.policies.seeds import (
     DEVELOPMENT,
     FIRST_READ,
@@ -202,10 +202,10 @@ def _threshold_section(verdicts: Sequence[Verdict], sweep: str) -> str:
 def _chosen(verdicts: Sequence[Verdict]) -> str:
     """The policies that a person chose among trainings with one command."""
     found = [
-        f"{verdict.task} is {choice}"
+        f"{verdict.task} is {origin.choice}"
         for verdict in verdicts
         for each in (verdict.row.evidence if verdict.row else ())
-        if (choice := choice_of(each.path))
+        if (origin := origin_of(each.path)) and origin.choice
     ]
     return "; ".join(found)
 
