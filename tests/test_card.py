@@ -61,7 +61,8 @@ def test_a_card_says_that_a_policy_was_chosen_and_its_digest_stays(folder):
             == before
         )
     (folder / "origin.json").write_text('{"script_before": "00ab0ab1"}')
-    assert "\n- script: as it was before revision `00ab0ab1`; with today's, the" in card_text(folder)
+    script = "\n- script: as it was before revision `00ab0ab1`; with today's, the"
+    assert script in card_text(folder)
     for wrong in ('{"best_of": 1}', "{}", '{"best_of": 2, "of": 3}', '{"script_before": "old"}'):
         (folder / "origin.json").write_text(wrong)
         with pytest.raises(UserError, match="origin.json: .*restore the file, or remove it"):
