@@ -42,8 +42,8 @@ class TrialRow(TypedDict):
     dropped: float
     n: int
     noticed: list[int | None]
-    """By episode with the guard: the step at which it noticed something; None: at none. In intact
-    episodes these are false alarms."""
+    """By episode with the guard: how many steps after the failure began it noticed something, 0 at
+    the same one; None: at none. In intact episodes these are false alarms, from the first step."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class GuardTrialConfig(GuardAlarmsConfig):
     """The policies, which have fitted guards, and the episodes of each condition."""
 
     ways: tuple[str, ...] = WAYS
-    """How each camera fails; no word after it: intact episodes alone."""
+    """How each camera fails, and from which step on if not the first: ``freeze@20``; no word after
+    it: intact episodes alone."""
     cameras: tuple[str, ...] = ()
     """The cameras that fail, one at a time; by default every one."""
     workers: ThreadsOrNone | None = None
@@ -105,12 +106,15 @@ def _of_policy(
         results = table.results(condition)
         return {seed: results[seed] for seed in which}
 
-    def row(camera: str, way: str, *results: dict[int, EpisodeResult]) -> TrialRow:
+    def row(camera: str, way: str, *results: dict[int, EpisodeResult], begin: int = 0) -> TrialRow:
         broken, with_it, dropped = (
             SuccessRate.counted(result.success for result in each.values()).value
             for each in results
         )
-        noticed = [result.noticed for result in results[1].values()]
+        noticed = [
+            None if result.noticed is None else result.noticed - begin
+            for result in results[1].values()
+        ]
         return TrialRow(
             policy=name,
             camera=camera,
@@ -133,7 +137,8 @@ def _of_policy(
     without = watched | played(bare, intact, alarmed)
     yield row("", "", without, watched, without)
     for (camera, way), fails in failing.items():
-        rest = Condition("+".join(one for one in cameras if one != camera) or "none")
-        dropped = played(bare, rest.noticed(streams), seeds)
+        rest = "+".join(one for one in cameras if one != camera) or "none"
+        dropped = played(bare, Condition(rest, begin=fails.begin).noticed(streams), seeds)
         broken = played(bare, fails, seeds)
-        yield row(camera, way, broken, played(guarded, fails, seeds), dropped)
+        with_it = played(guarded, fails, seeds)
+        yield row(camera, way, broken, with_it, dropped, begin=fails.begin)

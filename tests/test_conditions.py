@@ -58,6 +58,13 @@ def test_conditions_are_read(word, subset, occlusions):
         ("third_a,third_b=black", "'third_a,third_b=black'.*'third_b', which 'third_a' leaves out"),
         ("third_b=black,first+third_a", "'third_b', which 'first.third_a' leaves out"),
         ("none,black:all", "found 'all', which 'none' leaves out"),
+        (
+            "first=black@20,third_a=off@20",
+            "expected one step, at its end.*found '@20,third_a=off@20",
+        ),
+        ("first=black@", "expected one step, at its end.*found '@'"),
+        ("all@20", "a camera that is dropped or fails at step 20, found none; leave out"),
+        ("first=black,third_a.pan=5@20", "fails at step 20, found one that is moved"),
     ],
 )
 def test_what_is_no_condition_is_refused(word, said):

@@ -27,7 +27,7 @@ from madviz.measure.evaluate import (
 from madviz.measure.store import MEMORY, Store
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.condition import Condition
-from madviz.observation.grammar import parse_occlusions
+from madviz.observation.grammar import parse_condition, parse_occlusions
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.types import PolicySpec
@@ -116,6 +116,37 @@ def test_only_cameras_that_are_present_are_drawn():
         run_episode(FakePolicy(), env, mask, INTACT, 1)
         assert set(env.drawn) == expected
         assert len(env.drawn) == env.spec.horizon * len(expected)
+
+
+@pytest.mark.parametrize("failing", ["first=freeze@5", "first=off@5"])
+def test_a_failure_can_begin_in_mid_episode(failing, monkeypatch):
+    env = CountingEnv()
+    monkeypatch.setattr("madviz.measure.episodes.make_env", lambda *_: env)
+    runner = Runner()
+    runner.adopt("fake", policy := FakePolicy())
+
+    def played(word):
+        env.drawn.clear()
+        pictures, actions = [], []
+
+        def watch(env, stack, encoded, action):
+            pictures.append(stack.newest["first"])
+            actions.append(action)
+
+        condition = parse_condition(word, STREAMS).noticed(STREAMS)
+        finished = runner.run(Job("fake", policy.spec.digest, condition, 7), watch)
+        return finished, pictures, np.array(actions), env.drawn.count("first")
+
+    (_, pictures, actions, drawn), (_, intact, intended, _) = played(failing), played("all")
+    assert drawn == 5 and np.array_equal(pictures[:5], intact[:5])
+    assert np.array_equal(actions[:5], intended[:5]) and (actions[5:] != intended[5:]).any()
+    last = pictures[4] if "freeze" in failing else np.zeros_like(pictures[0])
+    assert (np.array(pictures[5:]) == last).all()
+    assert played(f"{failing[:-1]}0")[0] == played(failing[:-2])[0]
+    with pytest.raises(
+        UserError, match="before step 25, where toy/reach ends, found one at step 25"
+    ):
+        played(f"{failing[:-1]}25")
 
 
 def test_what_was_not_drawn_makes_no_difference():

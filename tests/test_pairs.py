@@ -27,7 +27,8 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.grammar import condition_text, parse_condition
-from madviz.session.commands import SetCamera
+from madviz.observation.schedule import Event
+from madviz.session.commands import SetCamera, SetSchedule
 from tests.fakes import AllOrNothing, Chunked, Restless
 from tests.test_audit import Looker
 
@@ -228,6 +229,8 @@ def test_compare_shows_the_same_page(tmp_path):
         "first,first=patch:1:0.5:0.5:0.3:0.2",
         "third_a.pan=-11",
         "first=blur:0.5,third_a.right=0.1,third_a.zoom=1.5",
+        "third_a=noise:0.3@20",
+        "first+third_b@7",
     ],
 )
 def test_a_condition_can_be_written_and_read_again(word):
@@ -251,6 +254,12 @@ def test_the_page_begins_with_the_switches_of_an_episode():
         SetCamera("third_a", dropped),
         SetCamera("third_b", dropped),
     )
+    assert beginning(start(condition="first=off,third_a=black@20"), spec) == (
+        SetSchedule((Event(20, "first", True), Event(20, "third_a", False, Occlusion("black")))),
+    )
+    both = replace(spec, streams=("first.rgb", "first.depth"))
+    with pytest.raises(UserError, match="begins at step 20, found colour or depth alone of first"):
+        beginning(start(condition="first.rgb@20"), both)
     with pytest.raises(UserError, match="beside --replay"):
         beginning(start(replay=Path("x.json")), spec)
     with pytest.raises(UserError, match="unknown camera"):

@@ -30,6 +30,7 @@ from madviz.measure.store import Store
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.grammar import parse_condition
+from madviz.observation.schedule import Event
 from madviz.policies import checkpoint
 from madviz.policies.checkpoint import PolicyName
 from madviz.policies.guarded import is_guarded, reference_to, unguarded
@@ -37,7 +38,7 @@ from madviz.policies.listing import list_policies
 from madviz.policies.no_policy import NONE_LABEL, is_no_policy, without_policy
 from madviz.policies.sb3 import trust
 from madviz.recorded.known import allow_recording, recordings_of
-from madviz.session.commands import Command, SetCamera
+from madviz.session.commands import Command, SetCamera, SetSchedule
 from madviz.session.live_session import LiveSession
 from madviz.session.process import References, SessionProcess
 from madviz.session.replay import check_policies, differences, finder
@@ -298,7 +299,7 @@ def gate_for(config: ExploreConfig) -> Gate:
 
 def beginning(config: ExploreConfig, spec: PolicySpec) -> tuple[Command, ...]:
     """The commands that make the cameras of a policy as ``--condition`` says. Raises UserError for
-    a condition that is none, and beside a saved session."""
+    a condition that is none, or that no failure at a step can be, and beside a saved session."""
     if config.replay is not None and (config.seed is not None or config.condition != "all"):
         raise UserError(
             "expected a saved session to have a seed and switches of its own, found --seed or "
@@ -307,11 +308,26 @@ def beginning(config: ExploreConfig, spec: PolicySpec) -> tuple[Command, ...]:
     condition = parse_condition(config.condition, cameras_of(spec.streams))
     ablation = condition.noticed(spec.streams).ablation(spec.streams)
     intact = Condition("all").ablation(spec.streams)
-    switches = [
-        SetCamera(name, state)
-        for name, state in ablation.cameras.items()
-        if state != intact.camera(name)
-    ]
+    changed = {
+        name: state for name, state in ablation.cameras.items() if state != intact.camera(name)
+    }
+    if condition.begin:
+        halves = [
+            name
+            for name, state in changed.items()
+            if state.input not in ("off", intact.camera(name).input)
+        ]
+        if halves:
+            raise UserError(
+                f"expected whole cameras in a condition that begins at step {condition.begin}, "
+                f"found colour or depth alone of {', '.join(halves)}; leave out the step"
+            )
+        events = [
+            Event(condition.begin, camera, state.input == "off", state.occlusion)
+            for camera, state in changed.items()
+        ]
+        return (SetSchedule(tuple(events)),)
+    switches = [SetCamera(name, state) for name, state in changed.items()]
     return (*switches, *(MoveCamera(name, move) for name, move in ablation.moves.items()))
 
 

@@ -30,7 +30,7 @@ def places_html(
         return ""
     env, policy = runner.opened(job)
     streams = policy.spec.streams
-    mask = job.condition.mask(streams)
+    mask = job.condition.at(step).mask(streams)
     means, note = _means(policy, env, looks)
     views, state = looks[step]
     other, _ = looks[(step + len(looks) // 2) % len(looks)]

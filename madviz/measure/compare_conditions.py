@@ -32,6 +32,8 @@ class PlayedCondition(RateRow):
     subset: str
     occlusions: dict[str, dict[str, Any]]
     """By camera: the fields of ``Occlusion``."""
+    begin: int
+    """The step from which it holds."""
     outside: float
     """The share of action numbers outside [-1, 1]; they were clipped."""
 
@@ -106,6 +108,7 @@ def _document(
         rows[word] = {
             "subset": played[word].subset,
             "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
+            "begin": played[word].begin,
             "outside": table.outside([played[word]]),
             **SuccessRate.counted(outcomes[word].values()).row(),
         }

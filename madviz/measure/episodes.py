@@ -13,6 +13,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
@@ -78,9 +80,10 @@ def run_episode(
     seed: int,
     stop: Callable[[], bool] = lambda: False,
     watch: Watch = lambda *_: None,
+    begin: int = 0,
 ) -> EpisodeResult:
     """Runs the episode ``seed`` on the subset ``mask`` (V,) bool, with the occlusions of
-    ``ablation``; cameras stand where ``env`` has them.
+    ``ablation``, both from step ``begin`` on; cameras stand where ``env`` has them.
 
     Only cameras that are present are drawn, and of those that are occluded only the pictures that
     matter; dropped streams cannot reach the sum, so they may as well be black. ``watch`` sees every
@@ -88,9 +91,15 @@ def run_episode(
     between two decisions.
     """
     streams = policy.spec.streams
-    if not policy.supports(mask):
-        raise unsupported(policy.spec, mask)
-    cameras = dict.fromkeys(camera_of(s) for s, on in zip(streams, mask, strict=True) if on)
+    every, intact = np.ones_like(mask), Ablation()
+    for needed in (mask, every) if begin else (mask,):
+        if not policy.supports(needed):
+            raise unsupported(policy.spec, needed)
+    if begin >= env.spec.horizon:
+        raise UserError(
+            f"expected failures before step {env.spec.horizon}, where {env.spec.task} ends, found "
+            f"one at step {begin}; choose an earlier one"
+        )
     stack = stack_of(policy.spec, env.spec)
     now = env.reset(seed)
     total = 0.0
@@ -101,14 +110,18 @@ def run_episode(
         while not now.last:
             if stop():
                 raise Stopped
+            present, fails = (mask, ablation) if decision >= begin else (every, intact)
+            cameras = dict.fromkeys(
+                camera_of(s) for s, on in zip(streams, present, strict=True) if on
+            )
             views = {
                 camera: env.view(camera)
                 for camera in cameras
-                if ablation.camera(camera).occlusion.looks(decision)
+                if fails.camera(camera).occlusion.looks(decision)
             }
-            stack.push(views, ablation, seed, decision)
+            stack.push(views, fails, seed, decision)
             encoded = policy.encode(stack.views, now.state)  # (V, C, H, W) -> features (V, Z)
-            action = player.act(encoded, mask)  # (A,)
+            action = player.act(encoded, present)  # (A,)
             outside += numbers_outside(action)
             watch(env, stack, encoded, action)
             now = env.step(action)
@@ -153,10 +166,12 @@ class Runner:
         policy's files changed meanwhile."""
         env, policy = self.opened(job)
         self._place(env, dict(job.condition.moves))
-        mask = job.condition.mask(policy.spec.streams)
-        ablation = job.condition.ablation(policy.spec.streams)
+        condition, streams = job.condition, policy.spec.streams
+        mask, ablation = condition.mask(streams), condition.ablation(streams)
         with one_thread():
-            result = run_episode(policy, env, mask, ablation, job.seed, self._stop, watch)
+            result = run_episode(
+                policy, env, mask, ablation, job.seed, self._stop, watch, condition.begin
+            )
         return result, definition_of(env.spec)
 
     def _place(self, env: Environment, moves: dict[str, Displacement]) -> None:

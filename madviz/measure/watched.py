@@ -64,10 +64,10 @@ def watched(
     show = shown or episode.pictures.append
     _, policy = runner.opened(job)
     streams = policy.spec.streams
-    present = job.condition.ablation(streams).present(streams)
 
     def watch(env: Environment, stack: StreamStack, encoded: Encoded, action: Array) -> None:
         tiles = []
+        present = job.condition.at(len(episode.actions)).ablation(streams).present(streams)
         for camera in cameras_of(streams):
             stream = next(one for one in streams if camera_of(one) == camera)
             picture = stack.newest[stream]  # (H, W, C)

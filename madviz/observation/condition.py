@@ -7,6 +7,7 @@ every table of success rates here is made of such triples.
     Condition("all")                                         all cameras, intact
     Condition("first+third_b")                               third_a is dropped
     Condition("all", (("third_a", Occlusion("black")),))     third_a sends black
+    Condition("first+third_b", begin=20)                     third_a is dropped at step 20
 
 Two conditions that a policy cannot tell apart are made equal by ``noticed``: a dropped camera may
 send black or not, and a blur does not depend on where a patch was.
@@ -14,7 +15,7 @@ send black or not, and a blur does not depend on where a patch was.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from madviz.observation.ablation import Ablation, CameraInput, CameraState, Occlusion
 from madviz.observation.displacement import Moves
@@ -33,6 +34,9 @@ class Condition:
     """The streams that are present, in the language of ``subsets.py``."""
     occlusions: Occlusions = ()
     moves: Moves = ()
+    begin: int = 0
+    """The step from which it holds; until then all cameras are present and intact, but for moves,
+    which hold from the first step on."""
 
     @staticmethod
     def of(ablation: Ablation, streams: tuple[str, ...]) -> Condition:
@@ -46,19 +50,26 @@ class Condition:
         order. Raises UserError for a subset that is none."""
         mask = self.mask(streams)
         present = {camera_of(s) for s, on in zip(streams, mask, strict=True) if on}
+        occlusions = tuple(
+            (camera, occlusion.effective)
+            for camera, occlusion in sorted(dict(self.occlusions).items())
+            if camera in present and occlusion.kind != "none"
+        )
         return Condition(
             name_of(mask, streams),
-            tuple(
-                (camera, occlusion.effective)
-                for camera, occlusion in sorted(dict(self.occlusions).items())
-                if camera in present and occlusion.kind != "none"
-            ),
+            occlusions,
             tuple(
                 (camera, move)
                 for camera, move in sorted(dict(self.moves).items())
                 if camera in present and not move.is_none
             ),
+            self.begin if occlusions or not mask.all() else 0,
         )
+
+    def at(self, step: int) -> Condition:
+        """What is given at ``step``, for itself."""
+        now = self if step >= self.begin else Condition("all", (), self.moves)
+        return replace(now, begin=0)
 
     def mask(self, streams: tuple[str, ...]) -> Array:
         """(V,) bool: the streams that are present. Raises UserError for a subset that is none."""
@@ -78,8 +89,8 @@ class Condition:
         return Ablation(cameras, dict(self.moves))
 
     def key(self) -> str:
-        """A name for the occlusions and moves, '' for none. Results are stored under it, beside
-        the subset's name: it must not change."""
+        """A name for all but the subset, '' for none. Results are stored under it, beside the
+        subset's name: it must not change."""
         parts = []
         for camera, occlusion in self.occlusions:
             values = asdict(occlusion)
@@ -90,7 +101,7 @@ class Condition:
                 values["size"] = values.pop("width")
             parts.append(f"{camera}:{kind}" + "".join(f",{k}={v:g}" for k, v in values.items()))
         parts += [f"{camera}:{move.key()}" for camera, move in self.moves]
-        return ";".join(parts)
+        return ";".join(parts) + (f"@{self.begin}" if self.begin else "")
 
     def __str__(self) -> str:
         return " · ".join(filter(None, (self.subset, self.key())))

@@ -16,8 +16,9 @@ An older spelling, ``first=noise,strength=0.5``, is still read, with a line that
 
 A *condition*, for a comparison, is a subset of cameras or a failure for the whole episode, or
 several of those with commas: ``all``, ``first+third_b``, ``third_a=black``, ``all=noise:0.5``,
-``first=off,third_a=black``; or a camera that stands elsewhere, ``third_a.pan=-11``. The words of
-page and audit are read, too (lossy, late, frozen), and so is an order with the failure first:
+``first=off,third_a=black``; or a camera that stands elsewhere, ``third_a.pan=-11``. A step at the
+end is where it begins: ``first=freeze@20``, ``third_a=black,first=off@20``. The words of page and
+audit are read, too (lossy, late, frozen), and so is an order with the failure first:
 ``late:first``, ``noise:all:0.5``.
 """
 
@@ -129,7 +130,8 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     dropped: list[str] = []
     occlusions: dict[str, Occlusion] = {}
     moves: dict[str, Displacement] = {}
-    for part in word.split(","):
+    parts, begin = _beginning(word)
+    for part in parts.split(","):
         if moved := _MOVED.fullmatch(part):
             name, axis, value = moved.groups()
             if name not in cameras:
@@ -164,7 +166,12 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
     subset = subsets[0] if subsets else present if dropped else "all"
     _check_present(word, subset, failing, cameras)
-    return Condition(subset, tuple(occlusions.items()), tuple(moves.items()))
+    if begin and (moves or (subset == "all" and not occlusions)):
+        raise UserError(
+            f"condition {word!r:.60}: expected a camera that is dropped or fails at step {begin}, "
+            f"found {'one that is moved' if moves else 'none'}; leave out what follows the @"
+        )
+    return Condition(subset, tuple(occlusions.items()), tuple(moves.items()), begin)
 
 
 def condition_text(condition: Condition) -> str:
@@ -175,7 +182,18 @@ def condition_text(condition: Condition) -> str:
     for camera, move in condition.moves:
         changed = {name: value for name, value in asdict(move).items() if value != plain[name]}
         parts += [f"{camera}.{name}={value:g}" for name, value in changed.items()]
-    return ",".join(parts) or "all"
+    return (",".join(parts) or "all") + (f"@{condition.begin}" if condition.begin else "")
+
+
+def _beginning(word: str) -> tuple[str, int]:
+    """A condition without its step, and the step. Raises UserError for a step that is none."""
+    parts, at, step = word.partition("@")
+    if at and not re.fullmatch(r"\d{1,6}", step):
+        raise UserError(
+            f"condition {word!r:.60}: expected one step, at its end, as in first=freeze@20 or "
+            f"third_a=black,first=off@20; found {at + step!r:.40}"
+        )
+    return parts, int(step or 0)
 
 
 def _check_present(word: str, subset: str, failing: Sequence[str], cameras: Sequence[str]) -> None:
