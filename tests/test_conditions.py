@@ -1,6 +1,7 @@
 """``madviz compare P --conditions``: conditions of one policy, on the same seeds."""
 
 import json
+from dataclasses import replace
 from typing import cast
 
 import pytest
@@ -21,6 +22,13 @@ BLACK, LATE = Occlusion("black"), Occlusion("delay")
 
 def make_picky():
     return AllOrNothing("picky")
+
+
+def make_known():
+    """It says how long its episodes are."""
+    policy = FakePolicy()
+    policy.spec = replace(policy.spec, horizon=25)
+    return policy
 
 
 @pytest.mark.parametrize(
@@ -112,6 +120,10 @@ def test_what_cannot_be_compared_is_refused_before_anything_is_played(monkeypatc
     monkeypatch.setattr("madviz.measure.table.run_anywhere", None)
     with pytest.raises(UserError, match="picky cannot act on 'first'"):
         run_compare(config("all", "first", policy="tests.test_conditions:make_picky"))
+    with pytest.raises(
+        UserError, match="before step 25, where toy/reach ends, found one at step 25"
+    ):
+        run_compare(config("all", "first=black@25", policy="tests.test_conditions:make_known"))
     with pytest.raises(UserError, match="expected two or more conditions"):
         run_compare(config("all"))
     with pytest.raises(UserError, match="expected one policy with --conditions, found 2"):

@@ -63,7 +63,8 @@ class CompareConfig:
     """With ``--conditions`` and ws://HOST:PORT: how its names and shapes map to ours."""
     conditions: tuple[str, ...] = ()
     """Compare conditions of one policy, for example ``all third_a=black first=delay``: subsets
-    of cameras, and failures of whole episodes. They are played now, with the options below."""
+    of cameras, and failures of whole episodes or from a step on (``first=freeze@20``). They are
+    played now, with the options below."""
     guard: bool = False
     """With ``--conditions``: a camera that the guard finds failing is left out."""
     episodes: Count = 50

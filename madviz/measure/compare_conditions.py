@@ -16,7 +16,7 @@ from typing import Any, TypedDict
 from madviz.errors import UserError, saving
 from madviz.guard.policy import guard_note
 from madviz.measure.audit.audited_policy import repeats_itself
-from madviz.measure.episodes import clipped_words, unsupported
+from madviz.measure.episodes import check_begin, clipped_words, unsupported
 from madviz.measure.pairs import MOST, in_turns, turned, write_page
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
@@ -81,6 +81,7 @@ def compare_conditions(
     asked = {word: parse_condition(word, cameras_of(streams)) for word in words}
     played = {word: condition.noticed(streams) for word, condition in asked.items()}
     for condition in played.values():
+        check_begin(condition.begin, loaded.spec.horizon, loaded.spec.task)
         mask = condition.mask(streams)
         if not loaded.supports(mask):
             raise unsupported(loaded.spec, mask)

@@ -72,6 +72,16 @@ def unsupported(spec: PolicySpec, mask: Array) -> UserError:
     )
 
 
+def check_begin(begin: int, horizon: int, task: str) -> None:
+    """Raises UserError where a condition begins at a step that no episode of ``task`` has;
+    ``horizon`` 0 is not known."""
+    if 0 < horizon <= begin:
+        raise UserError(
+            f"expected failures before step {horizon}, where {task} ends, found one at step "
+            f"{begin}; choose an earlier one"
+        )
+
+
 def run_episode(
     policy: Policy,
     env: Environment,
@@ -95,11 +105,7 @@ def run_episode(
     for needed in (mask, every) if begin else (mask,):
         if not policy.supports(needed):
             raise unsupported(policy.spec, needed)
-    if begin >= env.spec.horizon:
-        raise UserError(
-            f"expected failures before step {env.spec.horizon}, where {env.spec.task} ends, found "
-            f"one at step {begin}; choose an earlier one"
-        )
+    check_begin(begin, env.spec.horizon, env.spec.task)
     stack = stack_of(policy.spec, env.spec)
     now = env.reset(seed)
     total = 0.0

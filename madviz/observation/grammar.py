@@ -111,7 +111,7 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
         if "@" in word:
             raise UserError(
                 f"expected a failure for whole episodes, found steps in {word!r}; leave out what "
-                "follows the @, or use madviz record --drop"
+                "follows the @, or use madviz compare --conditions or record --drop"
             )
         if failure.camera in occlusions:
             raise UserError(
