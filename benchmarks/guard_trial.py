@@ -17,11 +17,13 @@ from typing import TypedDict
 
 from benchmarks.guard_alarms import GuardAlarmsConfig
 from madviz.measure.audit.guarded import alarms_words, noticed_words
+from madviz.measure.readings import note_reading, readings
 from madviz.measure.statistics import SuccessRate
 from madviz.measure.store import EpisodeResult, Store
 from madviz.measure.table import Table
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_condition
+from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.seeds import seeds_from
 from madviz.subsets import cameras_of
@@ -76,6 +78,7 @@ def guard_trial(config: GuardTrialConfig) -> GuardTrialFile:
         for name in config.policies:
             result["rows"] += _of_policy(name, seeds, store, config)
             write_json(config.out / "trial.json", result)
+            note_trial(name, seeds)
     return result
 
 
@@ -88,6 +91,16 @@ def trial_words(result: GuardTrialFile) -> str:
         noticed = noticed_words(row["noticed"]) if row["camera"] else alarms_words(row["noticed"])
         lines.append(f"{row['policy']:40} {place:24} {' '.join(rates)} n={row['n']}; {noticed}")
     return "\n".join(lines)
+
+
+def note_trial(name: str, seeds: range) -> None:
+    """Adds an included policy to the ledger of readings, where these are reporting seeds. A trial
+    that goes on, or adds conditions, is the same reading."""
+    policy = checkpoint.describe(name)
+    facts = (policy.spec.name, policy.spec.task, policy.spec.digest)
+    rows = readings(policy.path)
+    if not any((*facts, seeds[0], seeds[-1]) == row[1:] for row in rows):
+        note_reading(policy.path, *facts, seeds)
 
 
 def _of_policy(

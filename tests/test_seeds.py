@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from benchmarks.guard_trial import note_trial
 from benchmarks.imagine import ImagineConfig, bench_imagine
 from madviz import cli
 from madviz.agent.agent import Agent
@@ -245,6 +246,13 @@ def test_a_reading_of_reporting_seeds_is_written_down_and_told(ledger: Path) -> 
     assert len(readings(shown / "toy")) == 1, "a policy that is done is passed over"
 
 
+def test_a_trial_of_the_guard_is_one_reading_however_often_it_goes_on(ledger: Path) -> None:
+    folder = ledger.parent.parent / "checkpoints" / "toy"
+    for seeds in (range(5_000, 5_005), range(45_000, 45_005), range(45_000, 45_005)):
+        note_trial(str(folder), seeds)
+    assert [row[-2:] for row in readings(folder)] == [(45_000, 45_004)]
+
+
 def test_only_policies_that_the_repository_shows_are_in_its_ledger(ledger: Path) -> None:
     elsewhere = ledger.parent.parent / "runs" / "toy"
     shutil.copytree(ledger.parent.parent / "checkpoints" / "toy", elsewhere)
@@ -260,6 +268,8 @@ def test_only_policies_that_the_repository_shows_are_in_its_ledger(ledger: Path)
         ([("a", 40_000, 40_099), ("a", 40_050, 40_059)], "(read 2 times)"),
         ([("b", 40_000, 40_099), ("a", 40_000, 40_099)], "not untouched: other weights were read"),
         ([("b", 10_000, 10_099), ("a", 40_000, 40_099)], "the seeds were untouched"),
+        ([("a", 45_000, 45_004), ("a", 40_000, 40_099)], "the seeds were untouched"),
+        ([("b", 45_000, 45_004), ("a", 40_000, 40_099)], "not untouched: other weights were read"),
     ],
 )
 def test_a_range_that_was_read_before_is_not_called_untouched(

@@ -273,7 +273,8 @@ def write_measured(folder: Path, new: EvaluationFile) -> None:
         file = checkpoint.DEVELOPMENT
         known = checkpoint.shipped_evaluation(folder, file)
     write_json(folder / file, joined(known, new))
-    note_reading(folder, new)
+    seeds = {episode["seed"] for episode in new["episodes"]}
+    note_reading(folder, new["policy"], new["task"], new["digest"], seeds)
     write_card(folder)
 
 

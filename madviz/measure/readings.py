@@ -7,21 +7,20 @@ A range of seeds is untouched for a policy as long as nobody has read rates of i
 policy that is trained again after a reading has another digest and the same name: its new rates are
 a second reading, because the first one may have led to the training.
 
-``madviz eval --card`` and ``madviz report --evaluate`` add a row for a policy below checkpoints/ or
-results/ beside this file. Nothing is written where there is no such file, as in other people's
-folders.
+``madviz eval --card``, ``madviz report --evaluate`` and ``benchmarks guard-trial`` add a row for a
+policy below checkpoints/ or results/ beside this file. Nothing is written where there is no such
+file, as in other people's folders.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
-from madviz.policies.measured import EvaluationFile, seeds_of
-from madviz.policies.seeds import REPORTING
+from madviz.policies.seeds import REPORTING, use_of
 
 LEDGER = Path("results") / "readings.csv"
 SHOWN = ("checkpoints", "results")
@@ -60,14 +59,12 @@ def readings(folder: Path) -> list[Reading]:
         ]
 
 
-def note_reading(folder: Path, evaluation: EvaluationFile) -> None:
-    """Adds a row where ``evaluation`` of the policy in ``folder`` is on reporting seeds."""
+def note_reading(folder: Path, policy: str, task: str, digest: str, seeds: Collection[int]) -> None:
+    """Adds a row to the ledger that ``folder`` belongs to, where ``seeds`` are reporting seeds."""
     ledger = ledger_of(folder)
-    if ledger is None or seeds_of(evaluation) != REPORTING:
+    if ledger is None or use_of(seeds) != REPORTING:
         return
-    seeds = [episode["seed"] for episode in evaluation["episodes"]]
-    facts = (evaluation["policy"], evaluation["task"], evaluation["digest"])
-    row = Reading(date.today().isoformat(), *facts, min(seeds), max(seeds))
+    row = Reading(date.today().isoformat(), policy, task, digest, min(seeds), max(seeds))
     with ledger.open("a", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(row)
 

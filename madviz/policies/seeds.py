@@ -8,7 +8,8 @@ A seed fixes an episode's scene. The uses are apart:
     5000 to 9999         development: recipes, experts and choices were improved on these
     10000 to 39999       development (read): the first reporting range. Some policies were trained
                          again after their rates on it were read, so it counts as development
-    40000 to 49999       reporting: read once, after all choices; results/readings.csv lists it
+    40000 to 49999       reporting: read once, after all choices; results/readings.csv lists it.
+                         From 45000 on they are for the guard, from 47000 on for recordings
     50000 to 59999       unused
     60000 to 999999      try: where commands begin
     1000000 and up       training scenes of reinforcement learning
@@ -27,6 +28,7 @@ FIRST_LIVE = 2_000
 FIRST_DEVELOPMENT = 5_000
 FIRST_READ = 10_000
 FIRST_REPORTING = 40_000
+FIRST_GUARD = 45_000
 FIRST_UNUSED = 50_000
 FIRST_TRY = 60_000
 FIRST_LEARNING = 1_000_000

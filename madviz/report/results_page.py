@@ -13,6 +13,7 @@ from madviz.policies.checkpoint import WEIGHTS
 from madviz.policies.origin import origin_of
 from madviz.policies.seeds import (
     DEVELOPMENT,
+    FIRST_GUARD,
     FIRST_READ,
     FIRST_REPORTING,
     FIRST_UNUSED,
@@ -137,23 +138,24 @@ def _trained_again(rows: Sequence[Row]) -> str:
 def _read_words(rows: Sequence[Row]) -> str:
     """How often reporting seeds were read, by the ledger; untouched is said of no policy that was
     read with other weights before."""
-    seeds = range(FIRST_REPORTING, FIRST_UNUSED)
-    found = [
-        (name, *times_read(readings(path), name, task, seeds))
-        for name, task, path in _policies(rows)
-    ]
-    if not all(read for _, read, _ in found):
-        return "No ledger says how often these were read."
-    again = [f"{name} (read {read} times)" for name, read, _ in found if read > 1]
-    touched = [name for name, _, digests in found if digests > 1]
-    if not again:
-        return "Each policy was read once (readings.csv): the seeds were untouched."
-    words = f"Each policy was read once (readings.csv), except {', '.join(again)}."
+    again, touched = [], []
+    for name, task, path in _policies(rows):
+        known = readings(path)
+        read, _ = times_read(known, name, task, range(FIRST_REPORTING, FIRST_GUARD))
+        _, digests = times_read(known, name, task, range(FIRST_REPORTING, FIRST_UNUSED))
+        if not read:
+            return "No ledger says how often these were read."
+        again += [f"{name} (read {read} times)"] if read > 1 else []
+        touched += [name] if digests > 1 else []
+    once = "Each policy was read once (readings.csv)"
+    if not again and not touched:
+        return f"{once}: the seeds were untouched."
+    words = [f"{once}, except {', '.join(again)}." if again else f"{once}."]
     if touched:
-        words += (
-            f" For {', '.join(touched)} they are not untouched: other weights were read before."
+        words.append(
+            f"For {', '.join(touched)} they are not untouched: other weights were read before."
         )
-    return words
+    return " ".join(words)
 
 
 def _policies(rows: Sequence[Row]) -> list[tuple[str, str, Path]]:
