@@ -17,7 +17,13 @@ from madviz.policies import checkpoint
 SIDES = ("broken", "guarded", "dropped")
 NAMES = {"black": "black", "freeze": "frozen"}
 """The ways of the first table, in which First person fails."""
-ALL_NAMES = {**NAMES, "dropout:0.5": "lossy", "noise": "noise", "delay:0.5": "late by 5"}
+ALL_NAMES = {
+    **NAMES,
+    "freeze@20": "frozen from step 20",
+    "dropout:0.5": "lossy",
+    "noise": "noise",
+    "delay:0.5": "late by 5",
+}
 FIRST = "first"
 INTACT = "guard/intact"
 BROKEN = "guard/broken"

@@ -14,6 +14,8 @@ from madviz.errors import UserError
 from madviz.site.files import SiteFile, write_packed
 from madviz.system.files import write_bytes
 
+LICENCES = "licences.txt"
+"""All licences in one file, which the page links."""
 _ORT = "onnxruntime-web/dist"
 FILES = {
     "mujoco.js": "@mujoco/mujoco/mujoco.js",
@@ -75,7 +77,7 @@ def _program(name: str, path: Path) -> bytes:
 
 def write_licences(out: Path, packages: Path) -> None:
     """The licences of everything in the site that is not madviz's own: a file each, and all in
-    licences.txt, which the page links."""
+    ``LICENCES``."""
     folder = out / "licences"
     folder.mkdir(parents=True, exist_ok=True)
     for package, names in _OF_PYTHON.items():
@@ -89,4 +91,4 @@ def write_licences(out: Path, packages: Path) -> None:
     for text in resources.files("madviz.site").joinpath("licences").iterdir():
         write_bytes(folder / text.name, text.read_bytes())
     whole = [f"{'=' * 20} {path.name}\n\n{path.read_text()}" for path in sorted(folder.iterdir())]
-    write_bytes(out / "licences.txt", "\n\n".join(whole).encode())
+    write_bytes(out / LICENCES, "\n\n".join(whole).encode())

@@ -28,7 +28,7 @@ from madviz.session.session_file import versions_here
 from madviz.site.exports import description_of, export_policy, export_task
 from madviz.site.files import write_zip
 from madviz.site.recordings import record_policy
-from madviz.site.runtime import find_packages, versions, write_licences, write_runtime
+from madviz.site.runtime import LICENCES, find_packages, versions, write_licences, write_runtime
 from madviz.system.files import new_folder, read_json, write_json
 from madviz.system.numbers import CountOrNone
 from madviz.vocabulary.words import shown_meanings
@@ -207,7 +207,7 @@ def check_place(out: Path) -> None:
 
 def _of_a_site(name: str) -> bool:
     """True for a name at the top of a site, of this version or an earlier one."""
-    return name in (MANIFEST, *FOLDERS) or name.endswith(PAGE)
+    return name in (MANIFEST, LICENCES, *FOLDERS) or name.endswith(PAGE)
 
 
 def copy_page(out: Path) -> int:

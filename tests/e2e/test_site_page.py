@@ -140,6 +140,27 @@ def test_a_switch_acts_on_both_sides_until_each_has_its_own(visit, address):
     assert tags(page, "third_b") == ["off", ""]
 
 
+def test_sides_that_differ_have_switches_of_their_own_and_are_made_alike(visit, address):
+    page = visit(address + f"#policy={MAD}&vs={MERGED_ONLY}&b.first=off&b.third_b=off@25")
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 1")
+    assert page.locator(".board").count() == 2
+    page.get_by_role("button", name="A and B").click()
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 0")
+    assert page.locator(".board").count() == 1
+    until(page, "drove the nail in", "#line")
+    assert tags(page, "third_b") == ["", ""]
+
+
+def test_an_act_s_switch_is_in_its_link_before_it_comes(visit, fitted):
+    page = visit(
+        fitted, script="navigator.clipboard.writeText = async text => { window.copied = text; };"
+    )
+    page.get_by_role("button", name="Next: First person goes black").click()
+    until(page, "Which policy will still do it?", "#line")
+    page.get_by_role("button", name="Copy link").click()
+    assert "first=black@15" in page.evaluate("window.copied")
+
+
 def test_what_a_visitor_did_is_in_the_address_and_plays_again(visit, address):
     page = visit(address + LINK)
     page.wait_for_function("() => document.querySelectorAll('.view.off').length === 2")
@@ -259,7 +280,7 @@ def test_keys_do_what_buttons_do(visit, address):
 def test_success_is_counted_beside_what_was_measured(visit, address):
     page = visit(address + f"#policy={MAD}&vs={MERGED_ONLY}&first=off")
     page.get_by_role("button", name="Run 20").click()
-    until(page, "20 of 20 episodes", ".many")
+    until(page, "20 of 20 episodes, A 20 of 20, B 0 of 20 successful", ".many")
     rows = page.locator("table.success tr.current")
     page.wait_for_function("() => document.body.innerText.includes('n=20')")
     assert "1.00 [0.84, 1.00] n=20" in rows.nth(0).inner_text()
@@ -357,6 +378,28 @@ def test_less_motion_means_that_nothing_starts_by_itself(visit, address):
     page = visit(address, reduced_motion="reduce")
     page.wait_for_timeout(500)
     assert "step 0 of 30" in page.locator("#timeline").inner_text()
+
+
+def test_less_motion_leaves_a_button_that_starts_the_first_act(visit, fitted):
+    page = visit(fitted, reduced_motion="reduce")
+    page.wait_for_timeout(500)
+    assert "step 0 of 30" in page.locator("#timeline").inner_text()
+    page.get_by_role("button", name="Play").click()
+    until(page, "MAD and Merged Only both drove the nail in.", "#line")
+    page.get_by_role("button", name="Again").click()
+    until(page, "step 3 of 30", "#timeline")
+
+
+def test_the_link_past_the_header_leads_to_the_robots_and_changes_nothing(visit, address):
+    page = visit(address + LINK)
+    page.wait_for_function("() => document.querySelectorAll('.view.off').length === 2")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "stage"
+    page.wait_for_timeout(300)
+    assert "policy=" in page.url and page.locator("#notices .notice").count() == 0
+    assert page.locator(".view.off").count() == 2
 
 
 def test_a_browser_without_webgl2_is_told(visit, address):

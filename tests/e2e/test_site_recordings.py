@@ -35,6 +35,13 @@ def page(browser, folder: Path) -> Iterator[Any]:
         context.close()
 
 
+def test_a_link_that_no_recording_can_obey_is_said(page) -> None:
+    link = "#policy=toy-mad&first=black@2&third_a=move:0:0:0:5:0:1&third_b=off@1&guard=on"
+    page.evaluate("link => { location.hash = link; }", link)
+    until(page, "Moved and broken cameras and the guard are left out.", "#notices")
+    page.wait_for_function("() => /third_b=off@1$/.test(location.hash)")
+
+
 def picture(page: Any) -> str:
     return page.evaluate("() => document.querySelector('.view canvas').toDataURL()")
 

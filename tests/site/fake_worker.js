@@ -67,7 +67,7 @@ async function open({base, policy, second, seed: wanted, events, guard}) {
   guarded = guard ?? false;
   begin(wanted);
   opened = true;
-  say({kind: 'Ready', seconds: 0.1, backend: 'fake'});
+  say({kind: 'Ready', seconds: 0.1, backend: 'fake', events: schedule});
   tell();
 }
 

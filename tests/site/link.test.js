@@ -123,6 +123,12 @@ test('journals of both sides: what is the same is said once', () => {
   assert.deepEqual(mergedEvents([both], null), [{...both, side: 'both'}]);
 });
 
+test('a camera that was off at the first step and works again is on in the link', () => {
+  const journal = [{...intact(), input: 'off'}, intact()].map(state => ({step: 0, camera: 'first', state}));
+  const state = {policy: 'one', vs: null, seed: 5000, events: mergedEvents(journal, null)};
+  assert.equal(formatLink(state), '#policy=one&seed=5000&first=off&first=on');
+});
+
 test('a guard travels in a link', () => {
   const state = {policy: 'one', vs: null, seed: 5000, guard: true, events: []};
   assert.equal(formatLink(state), '#policy=one&seed=5000&guard=on');

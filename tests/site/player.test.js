@@ -46,6 +46,19 @@ test('the journal has a camera that a visitor switches on again', () => {
   assert.deepEqual(brief(player.journals[0]), ['first off 15', 'first off 17'], 'the last of a step');
 });
 
+test('how an episode ended stands, whatever is switched or pressed then', async () => {
+  const player = played(1);
+  player.files = {};
+  player.begin(5000);
+  upTo(player, 25);
+  player.set('both', 'first', off);
+  await assert.rejects(player.world(side, 0), /no episode was recorded with all on seed 5000/);
+  await player.obey({kind: 'StepOnce'});
+  assert.equal(player.phase, 'ended');
+  player.begin(5000);
+  await assert.rejects(player.world(side, 0), /no episode was recorded with third_a on seed 5000/);
+});
+
 test('a switch knows what it was before, and how an episode began is no switch', () => {
   const player = played(1);
   player.set('both', 'third_a', off);

@@ -134,8 +134,15 @@ export class Catalogue {
     for (const name of strange) {
       problems.push(`${entry.task_label} has no camera “${name}”; it has ${[...known].join(', ')}.`);
     }
-    const events = link.events.filter(one => known.has(one.camera));
-    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, guard: link.guard, events},
-      problems};
+    let events = link.events.filter(one => known.has(one.camera)), guard = link.guard;
+    if (entry.recorded) {
+      const kept = events.filter(({state}) => state && state.occlusion.kind === 'none');
+      if (guard || kept.length < events.length) {
+        problems.push(`“${entry.name}” is recorded: its cameras can be off or on. Moved and broken `
+          + 'cameras and the guard are left out.');
+      }
+      [events, guard] = [kept, false];
+    }
+    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, guard, events}, problems};
   }
 }

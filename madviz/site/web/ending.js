@@ -209,7 +209,8 @@ function whatCameOfIt(sides) {
   const parts = sides.flatMap(({label, departure}) => departure ? [{label, departure}] : [])
     .map(({label, departure: [largest, step]}, i) => `${label}${i ? "'s" : "'s hand was"} ${
       largest < 0.001 ? 'less than 0.1' : `up to ${(100 * largest).toFixed(1)}`
-    } cm${i ? '' : ' from its path with all cameras'}${step === null ? '' : `, and 1 cm for the first time at step ${step}`}`);
+    } cm${i ? '' : ' from its path with all cameras'}${
+      step === null ? '' : `, and 1 cm for the first time at step ${step}`}`);
   return parts.length ? `${parts.join('; ')}.` : '';
 }
 

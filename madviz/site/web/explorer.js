@@ -6,7 +6,7 @@
  */
 
 import {intact} from './camera_state.js';
-import {byId, calm, make, say} from './dom.js';
+import {byId, make, say} from './dom.js';
 import {answersFor, endingOf} from './ending.js';
 import {mergedEvents} from './link.js';
 import {notice} from './notices.js';
@@ -64,7 +64,7 @@ export class Explorer {
     byId('choose').replaceChildren(this.transport.element);
     this.many = new RunMany(EPISODES, send);
     this.linkButtons = [true, false].map(linked => make('button', {type: 'button',
-      onclick: () => this.setLinked(linked)}, linked ? 'A and B' : 'one side'));
+      onclick: () => this.choose(linked)}, linked ? 'A and B' : 'one side'));
     this.link = make('div', {class: 'field', role: 'group', 'aria-label': 'Switches act on'},
       make('span', {}, 'Switches act on'), ...this.linkButtons);
     this.guard = make('input', {type: 'checkbox', onchange: () =>
@@ -75,6 +75,8 @@ export class Explorer {
     this.asked = false;
     /** Whether a guess is asked for; the opening waits for it. */
     this.asks = false;
+    /** Whether the first act stands still, for a visitor who wants little to move. */
+    this.waits = false;
     /** Whether the visitor wants no more questions. */
     this.silent = false;
     /** Who will succeed in an episode, as the visitor thinks; '' where nobody guessed. */
@@ -114,7 +116,8 @@ export class Explorer {
       const opening = this.catalogue.opening(), all = acts(opening), next = all[this.act + 1];
       say(title, headline(opening, all[this.act]));
       turn.replaceChildren(...answers, ...this.asks ? []
-        : [...next ? [button(leadsOn(opening, next), () => this.again(this.act + 1), true)] : [],
+        : [...this.waits ? [button('Play', () => this.again(), true)] : [],
+          ...next ? [button(leadsOn(opening, next), () => this.again(this.act + 1), !this.waits)] : [],
           button('Your turn', () => this.yourTurn(), !next),
           button('Again', () => this.again())]);
     } else {
@@ -128,14 +131,16 @@ export class Explorer {
   /** An act of the opening from its beginning. @param {number} [number] */
   again(number = this.act) {
     this.act = number;
+    this.waits = false;
     const opening = this.catalogue.opening(), act = acts(opening)[number];
     this.whole();
     this.send({kind: 'SetGuard', on: act.guard});
-    this.send({kind: 'SetSchedule', events: openingEvents(opening, act)});
+    this.planned = openingEvents(opening, act);
+    this.send({kind: 'SetSchedule', events: this.planned});
     this.send({kind: 'SetSpeed', rate: SPEED});
     this.send({kind: 'SetSeed', seed: opening.seed});
     this.ask(act.asks);
-    this.send({kind: calm() || this.asks ? 'Pause' : 'Play'});
+    this.send({kind: this.asks ? 'Pause' : 'Play'});
   }
 
   /**
@@ -186,10 +191,37 @@ export class Explorer {
     byId('controls').querySelector('input')?.focus({preventScroll: true});
   }
 
+  /** The switches that come by themselves. @param {import('./link.js').LinkEvent[]} events */
+  plan(events) {
+    this.planned = events;
+    if (events.some(one => one.side !== 'both')) this.setLinked(false);
+  }
+
   /** @param {boolean} linked Whether a switch acts on both sides. */
   setLinked(linked) {
     this.linked = linked;
-    this.arrange();
+    if (this.entries.length) this.arrange();
+  }
+
+  /** What the visitor wants. Switches that act on both sides begin with sides that are alike.
+   * @param {boolean} linked */
+  choose(linked) {
+    this.setLinked(linked);
+    const {first, second} = this.frame ?? {};
+    if (!linked || !first || !second) return;
+    if (this.planned.some(one => one.side !== 'both')) {
+      this.planned = this.planned.filter(one => one.side !== 'second')
+        .map(one => ({...one, side: /** @type {const} */ ('both')}));
+      this.send({kind: 'SetSchedule', events: this.planned});
+    }
+    const side = /** @type {const} */ ('second');
+    for (const {name: camera} of this.entries[0].cameras) {
+      const state = first.cameras[camera], move = first.moves[camera] ?? null;
+      if (differ(state, second.cameras[camera])) this.send({kind: 'SetCamera', side, camera, state});
+      if (differ(move, second.moves[camera] ?? null)) {
+        this.send({kind: 'MoveCamera', side, camera, move});
+      }
+    }
   }
 
   /** Builds what depends on who acts. */
@@ -331,6 +363,11 @@ export class Explorer {
       events: [...mergedEvents(first.events, second?.events ?? null),
         ...this.planned.filter(event => event.step > first.step)]};
   }
+}
+
+/** @param {unknown} one @param {unknown} other */
+function differ(one, other) {
+  return JSON.stringify(one) !== JSON.stringify(other);
 }
 
 /** @param {Frame} frame @returns {World[]} */

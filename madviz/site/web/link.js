@@ -249,5 +249,7 @@ export function mergedEvents(first, second) {
   }
   for (const event of others.values()) events.push({...event, side: 'second'});
   events.sort((one, other) => one.step - other.step);
-  return events.filter(event => event.step > 0 || !event.state || stateText(event.state) !== 'on');
+  // That a camera works at the first step is said only where it was off or broken there before.
+  return events.filter(({step, camera, state}, i) => step > 0 || !state || stateText(state) !== 'on'
+    || events.slice(0, i).some(one => one.camera === camera && one.state && stateText(one.state) !== 'on'));
 }

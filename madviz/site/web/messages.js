@@ -151,8 +151,8 @@
  * @typedef {{kind: 'Progress', what: string, done: number, of: number}} Progress
  */
 /**
- * The first decision of every side has been made.
- * @typedef {{kind: 'Ready', seconds: number, backend: string}} Ready
+ * The first decision of every side has been made; the switches of the schedule are still to come.
+ * @typedef {{kind: 'Ready', seconds: number, backend: string, events: ScheduledEvent[]}} Ready
  */
 /**
  * Something went wrong, in one sentence. `fatal`: nothing will move any more ('WebGL2 is missing');

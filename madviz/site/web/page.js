@@ -34,8 +34,6 @@ class Page {
     this.ownHash = '';
     /** @type {'opening' | 'explore'} */
     this.mode = 'explore';
-    /** The switches of the scene that is on its way. @type {Scene['events'] | null} */
-    this.asked = null;
   }
 
   /** Plays what the address asks for; without anything, the opening. */
@@ -80,10 +78,11 @@ class Page {
     this.engine.post({kind: 'Open', base: BASE, policy: scene.policy, seed: scene.seed,
       second: scene.vs, events: scene.events, guard: scene.guard ?? false});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
-    this.asked = scene.events;
+    const asks = mode === 'opening' && acts(this.catalogue.opening())[0].asks;
     this.explorer.act = 0;
-    this.explorer.ask(mode === 'opening' && acts(this.catalogue.opening())[0].asks);
-    this.engine.post({kind: calm() || this.explorer.asks ? 'Pause' : 'Play'});
+    this.explorer.waits = mode === 'opening' && calm() && !asks;
+    this.explorer.ask(asks);
+    this.engine.post({kind: calm() || asks ? 'Pause' : 'Play'});
     if (this.ready) this.explorer.setMode(mode);
   }
 
@@ -108,7 +107,7 @@ class Page {
         return progress(answer);
       case 'Ready':
         this.ready = true;
-        if (this.asked) explorer.planned = this.asked;
+        explorer.plan(answer.events);
         this.standstill?.end();
         explorer.waitFor('');
         explorer.setMode(this.mode);
@@ -135,7 +134,6 @@ class Page {
   problem(problem) {
     const films = this.manifest.recordings.length > 0;
     this.standstill?.end();
-    this.asked = null;
     this.explorer.waitFor('');
     if (problem.refused && films && this.alive) {
       notice(`${problem.message} What follows are recorded episodes.`);
@@ -162,6 +160,11 @@ class Page {
   listen() {
     addEventListener('hashchange', () => {
       if (location.hash !== this.ownHash) this.follow();
+    });
+    // The address is the episode's; a link to a place in the page must not change it.
+    document.querySelector('.skip')?.addEventListener('click', event => {
+      event.preventDefault();
+      byId('stage').focus();
     });
     setInterval(() => this.remember(), 1000); // Browsers refuse much more than that.
     document.addEventListener('visibilitychange', () => {
@@ -228,7 +231,6 @@ class Page {
     }
     const text = await file.text();
     this.mode = 'explore';
-    this.asked = [];
     this.explorer.waitFor(`Opening ${file.name} …`);
     this.engine?.post({kind: 'Replay', text});
   }

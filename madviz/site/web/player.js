@@ -30,6 +30,8 @@ export class Player {
     this.sides = [];
     /** @type {Record<string, import('./messages.js').CameraState>[]} */
     this.cameras = [];
+    /** By side, the cameras of an episode that has ended. @type {string[]} */
+    this.subsets = [];
     /** By side, what was done to cameras in this episode. @type {JournalEvent[][]} */
     this.journals = [];
     /** @type {Map<string, Promise<Episode>>} */
@@ -67,7 +69,7 @@ export class Player {
         this.choose([command.policy, ...(command.second ? [command.second] : [])]);
         this.schedule = command.events ?? [];
         await this.begin(command.seed);
-        return this.onAnswer({kind: 'Ready', seconds: 0, backend: 'recorded'});
+        return this.onAnswer({kind: 'Ready', seconds: 0, backend: 'recorded', events: this.schedule});
       case 'SetPolicy':
         this.choose([command.name, ...this.sides.slice(1).map(one => one.policy)]);
         return this.begin(this.seed);
@@ -84,7 +86,9 @@ export class Player {
         return this.apply();
       case 'Play': this.phase = this.phase === 'ended' ? 'ended' : 'playing'; return this.tell();
       case 'Pause': this.phase = this.phase === 'ended' ? 'ended' : 'paused'; return this.tell();
-      case 'StepOnce': this.phase = 'paused'; return this.advance();
+      case 'StepOnce':
+        if (this.phase !== 'ended') this.phase = 'paused';
+        return this.advance();
       case 'SetSpeed': this.speed = command.rate; return undefined;
       case 'SetAutoNext': this.autoNext = command.on; return undefined;
       case 'SetGuard': case 'SetVisible': case 'SetReadout': case 'StopRun': return undefined;
@@ -153,7 +157,10 @@ export class Player {
     const {horizon} = this.sides[0];
     if (this.step >= horizon) return this.tell();
     this.step += 1;
-    if (this.step >= horizon) this.phase = 'ended';
+    if (this.step >= horizon) {
+      this.phase = 'ended'; // How it ended stands, whatever is switched now.
+      this.subsets = this.sides.map((side, index) => subsetOf(side, this.cameras[index]));
+    }
     return this.apply();
   }
 
@@ -184,7 +191,8 @@ export class Player {
   /** @param {SiteRecording} side @param {number} index @returns {Promise<World>} */
   async world(side, index) {
     const cameras = this.cameras[index];
-    const subset = subsetOf(side, cameras), key = `${this.seed}/${subset}`;
+    const subset = this.phase === 'ended' ? this.subsets[index] : subsetOf(side, cameras);
+    const key = `${this.seed}/${subset}`;
     const name = `${side.policy} ${key}`;
     const file = side.files[key];
     if (!file) throw new Error(`no episode was recorded with ${subset} on seed ${this.seed}`);

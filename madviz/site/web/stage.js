@@ -242,7 +242,7 @@ export class Stage extends Episodes {
     this.stopMany();
     this.guarded = recipe.guarded;
     this.replace(sides);
-    this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('first')}));
+    this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('both')}));
     this.phase = 'playing';
     await this.begin(recipe.seed);
     this.ready(start);
@@ -259,7 +259,7 @@ export class Stage extends Episodes {
   /** @param {number} start When what is played now was asked for. */
   ready(start) {
     const seconds = (performance.now() - start) / 1000;
-    this.say({kind: 'Ready', seconds, backend: this.drawing.backend});
+    this.say({kind: 'Ready', seconds, backend: this.drawing.backend, events: this.schedule});
   }
 
   /**

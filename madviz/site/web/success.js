@@ -141,8 +141,11 @@ export class RunMany {
   update(run) {
     this.running = !run.ended;
     this.label();
-    const wins = run.outcomes.filter(one => one.success).length;
+    const sides = ['first', 'second'].map(side => run.outcomes.filter(one => one.side === side))
+      .filter(side => side.length);
+    const counts = sides.map((side, i) => `${sides.length > 1 ? `${'AB'[i]} ` : ''}${
+      side.filter(one => one.success).length} of ${side.length}`);
     say(this.words, `${run.done} of ${run.of} episodes${run.ended ? '' : ' …'}, `
-      + `${wins} of ${run.outcomes.length} successful`);
+      + `${counts.join(', ') || '0 of 0'} successful`);
   }
 }

@@ -17,14 +17,14 @@ export class Timeline {
     element.replaceChildren(make('p', {}, this.key, this.now), this.canvas);
     /** @type {Record<'first' | 'second', number[]>} */
     this.q = {first: [], second: []};
-    this.episode = -1;
+    this.episode = '';
   }
 
   /** @param {Frame} frame */
   add(frame) {
-    if (frame.first.episode !== this.episode) {
-      [this.episode, this.q] = [frame.first.episode, {first: [], second: []}];
-    }
+    const {first, second} = frame; // Live and recorded episodes are each counted from 1.
+    const episode = [first.episode, first.policy, second?.policy].join();
+    if (episode !== this.episode) [this.episode, this.q] = [episode, {first: [], second: []}];
     this.q.first[frame.first.step] = frame.first.q;
     if (frame.second) this.q.second[frame.second.step] = frame.second.q;
   }
