@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from madviz.measure.audit.along import ENOUGH, EPISODES, along
 from madviz.measure.audit.along_account import along_words
 from madviz.measure.audit.axes import parse_axis
 from madviz.measure.audit.curve import FallingCurve
+from madviz.measure.audit.turned import along_pairs
+from madviz.measure.episodes import Job
 from madviz.measure.store import EpisodeResult, Store
 from madviz.observation.ablation import Occlusion
 from madviz.observation.displacement import Displacement
@@ -173,6 +176,14 @@ def test_a_known_threshold_is_found_within_5_percent_in_60_episodes(monkeypatch,
     length = abs(world.sides[0].end - world.sides[0].start)
     assert side["breaking"] is not None and abs(side["breaking"] - wanted) <= 0.05 * length
     assert side["n"] <= 60 and f"[{side['ci95'][0]:.3g}, " in along_words(found)[1]
+
+
+def test_an_axis_that_is_written_twice_is_one(monkeypatch):
+    Thresholds(monkeypatch, "third_a.blur=0:1", 0.4)
+    words = ["third_a.blur=0:1", "third_a.blur=0:1.0"]
+    found = along(FakePolicy(), words, seed=60_000)
+    pairs = along_pairs(found, words, FakePolicy(), partial(Job, "p", ""), 3)
+    assert len(found["axes"]) == 1 and len(pairs) == 3
 
 
 def test_two_sides_share_the_episodes_and_meet_the_same_scenes(monkeypatch):

@@ -1,7 +1,6 @@
 """``madviz compare P --conditions``: conditions of one policy, on the same seeds."""
 
 import json
-from dataclasses import replace
 from typing import cast
 
 import pytest
@@ -22,13 +21,6 @@ BLACK, LATE = Occlusion("black"), Occlusion("delay")
 
 def make_picky():
     return AllOrNothing("picky")
-
-
-def make_known():
-    """It says how long its episodes are."""
-    policy = FakePolicy()
-    policy.spec = replace(policy.spec, horizon=25)
-    return policy
 
 
 @pytest.mark.parametrize(
@@ -71,8 +63,9 @@ def test_conditions_are_read(word, subset, occlusions):
             "expected one step, at its end.*found '@20,third_a=off@20",
         ),
         ("first=black@", "expected one step, at its end.*found '@'"),
-        ("all@20", "a camera that is dropped or fails at step 20, found none; leave out"),
-        ("first=black,third_a.pan=5@20", "fails at step 20, found one that is moved"),
+        ("third_b@20", "as in first=off,third_a=black@20, found the subset 'third_b'; write so"),
+        ("all,first=black@20", "dropped or fail at step 20, .*found the subset 'all'"),
+        ("first=black,third_a.pan=5@20", "dropped or fail at step 20, .*found one that is moved"),
     ],
 )
 def test_what_is_no_condition_is_refused(word, said):
@@ -123,7 +116,7 @@ def test_what_cannot_be_compared_is_refused_before_anything_is_played(monkeypatc
     with pytest.raises(
         UserError, match="before step 25, where toy/reach ends, found one at step 25"
     ):
-        run_compare(config("all", "first=black@25", policy="tests.test_conditions:make_known"))
+        run_compare(config("all", "first=black@25"))
     with pytest.raises(UserError, match="expected two or more conditions"):
         run_compare(config("all"))
     with pytest.raises(UserError, match="expected one policy with --conditions, found 2"):

@@ -91,6 +91,16 @@ def test_the_original_check_is_put_back(class_: Path, change, edited: bool) -> N
     assert sum("madviz.grading.inside" in cell.source for cell in ready.cells) == 1
 
 
+@pytest.mark.parametrize("kept", ["02-01", "02-02"])
+def test_an_answer_in_the_cell_of_its_check_is_kept(class_: Path, kept: str) -> None:
+    copy = notebook(EMPTY)
+    copy.cells[1:] = [new_code_cell(f"{RIGHT}\n{CHECK}", id=kept), new_code_cell("1 / 0")]
+    file = come_back(class_, "ada_02_merge.ipynb", copy)
+    ready, _ = prepare(file, handed_out(class_ / "lessons")[LESSON])
+    sources = [cell.source for cell in ready.cells]
+    assert RIGHT in sources[1] and "madviz.grading.inside" in sources[2] and sources[3] == "1 / 0"
+
+
 def test_only_tagged_cells_are_checks() -> None:
     lesson = notebook(EMPTY)
     assert list(checks_of(lesson)) == ["02.merge"]

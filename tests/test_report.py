@@ -14,9 +14,10 @@ import pytest
 from madviz import cli
 from madviz.errors import UserError
 from madviz.measure.evidence import find_evidence, read_evidence
+from madviz.measure.statistics import SuccessRate, difference_interval
 from madviz.report.layouts import THREE
 from madviz.report.results import ReportConfig, run_report
-from madviz.report.rows import difference
+from madviz.report.rows import Row, difference
 from madviz.report.sweeps import FIRST_LINE
 from madviz.report.tables import usual_alphas
 from tests.evidence import rates, write_policy
@@ -167,6 +168,20 @@ def test_a_task_with_more_episodes_weighs_no_more_in_an_average(tmp_path: Path) 
     for row in table(tmp_path, "overall").averages:
         found = row.rate("all")
         assert found is not None and (found.value, found.n) == (0.5, 100)
+
+
+def test_trainings_that_meet_the_same_scenes_are_no_independent_episodes() -> None:
+    """Three that agree in every scene say as much as one."""
+    units = [("push", training, seed) for training in (1, 2, 3) for seed in range(50)]
+    row = Row("a", {name: {unit: unit[2] < 48 for unit in units} for name in ("all", "first")})
+    other = Row("b", {name: {unit: unit[2] < 40 for unit in units} for name in ("all", "first")})
+    rate, mean = row.rate("all"), row.mean(["all", "first"])
+    found = difference(row, other, ["all", "first"])
+    assert rate and mean and found
+    one = SuccessRate.of(48, 50).interval
+    assert rate.interval == pytest.approx(one) and mean.interval == pytest.approx(one)
+    gaps = [float(40 <= seed < 48) for seed in range(50)]
+    assert found.interval == pytest.approx(difference_interval(gaps))
 
 
 def test_only_trainings_of_one_budget_are_compared(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from madviz.app.viser_patches import patch_sender
 from madviz.envs.custom import allow_task
 from madviz.envs.registry import TaskName, check_task
 from madviz.errors import UserError
+from madviz.measure.episodes import check_begin
 from madviz.measure.live import Evaluator, Tally
 from madviz.measure.store import Store
 from madviz.observation.condition import Condition
@@ -299,7 +300,7 @@ def gate_for(config: ExploreConfig) -> Gate:
 
 def beginning(config: ExploreConfig, spec: PolicySpec) -> tuple[Command, ...]:
     """The commands that make the cameras of a policy as ``--condition`` says. Raises UserError for
-    a condition that is none, or that no failure at a step can be, and beside a saved session."""
+    a condition that is none, one that begins after the end, and beside a saved session."""
     if config.replay is not None and (config.seed is not None or config.condition != "all"):
         raise UserError(
             "expected a saved session to have a seed and switches of its own, found --seed or "
@@ -311,17 +312,8 @@ def beginning(config: ExploreConfig, spec: PolicySpec) -> tuple[Command, ...]:
     changed = {
         name: state for name, state in ablation.cameras.items() if state != intact.camera(name)
     }
+    check_begin(condition.begin, spec.task, spec.horizon)
     if condition.begin:
-        halves = [
-            name
-            for name, state in changed.items()
-            if state.input not in ("off", intact.camera(name).input)
-        ]
-        if halves:
-            raise UserError(
-                f"expected whole cameras in a condition that begins at step {condition.begin}, "
-                f"found colour or depth alone of {', '.join(halves)}; leave out the step"
-            )
         events = [
             Event(condition.begin, camera, state.input == "off", state.occlusion)
             for camera, state in changed.items()

@@ -1,11 +1,12 @@
 """Returned copies: whose they are, of which lesson, and their checks as they were handed out.
 
 The problem: a copy comes back under any name, and a student may have edited its checks, by mistake
-or not. The idea: the notebooks that were handed out say which cells are checks. A copy's own checks
-are taken out, and each is put back, where it was, as a call that asks the installed package:
+or not. The idea: the notebooks that were handed out say which cells are checks. Each is put back,
+where it was, as a call that asks the installed package. It takes the place of an unchanged check,
+and comes after an edited one, which may hold an answer:
 
     handed out   teaching.check("02.merge", merge)       ─┐
-    returned     print("02.merge: right")                 ├─► report("02.merge", globals())
+    returned     merge = ...; print("02.merge: right")    ├─► report("02.merge", globals())
                                                           │   and in the table: 'check edited'
                                                          ─┘
 A cell is found by its identifier, which JupyterLab keeps, or else by the name of its check. Where
@@ -91,9 +92,9 @@ def prepare(file: Path, lesson: NotebookNode) -> tuple[NotebookNode, frozenset[s
         check = next(iter(same_id or [c for c in cells if check_in(c) == name]), None)
         if check is None or check.source.strip() != original.source.strip():
             edited.add(name)
-        if check is None:
+            place = next((i + 1 for i, cell in enumerate(cells) if cell is check), len(cells))
             check = nbformat.v4.new_code_cell()
-            cells.append(check)
+            cells.insert(place, check)  # The edited cell stays: an answer may be in it.
         check.source = REPORT.format(name)
         check.metadata = NotebookNode(madviz=name)
     for cell in cells:

@@ -32,6 +32,8 @@ class PlayedCondition(RateRow):
     subset: str
     occlusions: dict[str, dict[str, Any]]
     """By camera: the fields of ``Occlusion``."""
+    moves: dict[str, dict[str, Any]]
+    """By camera: the fields of ``Displacement``."""
     begin: int
     """The step from which it holds."""
     outside: float
@@ -81,7 +83,7 @@ def compare_conditions(
     asked = {word: parse_condition(word, cameras_of(streams)) for word in words}
     played = {word: condition.noticed(streams) for word, condition in asked.items()}
     for condition in played.values():
-        check_begin(condition.begin, loaded.spec.horizon, loaded.spec.task)
+        check_begin(condition.begin, loaded.spec.task, loaded.spec.horizon)
         mask = condition.mask(streams)
         if not loaded.supports(mask):
             raise unsupported(loaded.spec, mask)
@@ -109,6 +111,7 @@ def _document(
         rows[word] = {
             "subset": played[word].subset,
             "occlusions": {name: asdict(o) for name, o in asked[word].occlusions},
+            "moves": {name: asdict(move) for name, move in asked[word].moves},
             "begin": played[word].begin,
             "outside": table.outside([played[word]]),
             **SuccessRate.counted(outcomes[word].values()).row(),

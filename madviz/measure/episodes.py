@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.registry import make_env
+from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
 from madviz.measure.store import EpisodeResult
@@ -72,10 +72,10 @@ def unsupported(spec: PolicySpec, mask: Array) -> UserError:
     )
 
 
-def check_begin(begin: int, horizon: int, task: str) -> None:
-    """Raises UserError where a condition begins at a step that no episode of ``task`` has;
-    ``horizon`` 0 is not known."""
-    if 0 < horizon <= begin:
+def check_begin(begin: int, task: str, horizon: int) -> None:
+    """Raises UserError where a condition begins at a step that no episode of ``task`` has.
+    ``horizon`` 0: it is not known."""
+    if begin and begin >= (horizon := horizon or env_spec(task).horizon):
         raise UserError(
             f"expected failures before step {horizon}, where {task} ends, found one at step "
             f"{begin}; choose an earlier one"
@@ -105,7 +105,7 @@ def run_episode(
     for needed in (mask, every) if begin else (mask,):
         if not policy.supports(needed):
             raise unsupported(policy.spec, needed)
-    check_begin(begin, env.spec.horizon, env.spec.task)
+    check_begin(begin, env.spec.task, env.spec.horizon)
     stack = stack_of(policy.spec, env.spec)
     now = env.reset(seed)
     total = 0.0

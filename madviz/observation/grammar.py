@@ -17,9 +17,10 @@ An older spelling, ``first=noise,strength=0.5``, is still read, with a line that
 A *condition*, for a comparison, is a subset of cameras or a failure for the whole episode, or
 several of those with commas: ``all``, ``first+third_b``, ``third_a=black``, ``all=noise:0.5``,
 ``first=off,third_a=black``; or a camera that stands elsewhere, ``third_a.pan=-11``. A step at the
-end is where it begins: ``first=freeze@20``, ``third_a=black,first=off@20``. The words of page and
-audit are read, too (lossy, late, frozen), and so is an order with the failure first:
-``late:first``, ``noise:all:0.5``.
+end is where all of it begins: ``first=freeze@20``, ``third_a=black,first=off@20``; a subset has
+none, because ``first@20`` is a dropped camera above. The words of page and audit are read, too
+(lossy, late, frozen), and so is an order with the failure first: ``late:first``,
+``noise:all:0.5``.
 """
 
 from __future__ import annotations
@@ -166,17 +167,23 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
     subset = subsets[0] if subsets else present if dropped else "all"
     _check_present(word, subset, failing, cameras)
-    if begin and (moves or (subset == "all" and not occlusions)):
+    if begin and (moves or subsets):
+        found = "one that is moved" if moves else f"the subset {subsets[0]!r}"
         raise UserError(
-            f"condition {word!r:.60}: expected a camera that is dropped or fails at step {begin}, "
-            f"found {'one that is moved' if moves else 'none'}; leave out what follows the @"
+            f"condition {word!r:.60}: expected cameras that are dropped or fail at step {begin}, "
+            f"as in first=off,third_a=black@{begin}, found {found}; write so, or leave out the @"
         )
     return Condition(subset, tuple(occlusions.items()), tuple(moves.items()), begin)
 
 
-def condition_text(condition: Condition) -> str:
-    """The condition in the grammar again, as briefly as it can be said."""
+def condition_text(condition: Condition, cameras: Sequence[str]) -> str:
+    """The condition in the grammar again, as briefly as it can be said, of a policy with
+    ``cameras``."""
     parts = [] if condition.subset == "all" else [condition.subset]
+    if condition.begin:
+        present = {camera_of(name) for name in condition.subset.split("+")} | {"all"}
+        gone = [] if condition.subset == "all" else [c for c in cameras if c not in present]
+        parts = [f"{camera}={DROPPED}" for camera in gone]
     parts += [failure_text(camera, occlusion) for camera, occlusion in condition.occlusions]
     plain = asdict(Displacement())
     for camera, move in condition.moves:

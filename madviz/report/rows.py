@@ -9,8 +9,8 @@ average over tasks is the same code as one task:
     mad, 2 tasks the same and (push, 1, 5000) yes ...             190 of 200
 
 Where a task has several trainings, intervals are over trainings (Student's t,
-``formulas.student``), and at least as wide as those over episodes. With one training they are over
-its episodes.
+``formulas.student``), and at least as wide as those over scenes, which all trainings share. With
+one training they are over its episodes.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from madviz.measure.statistics import (
     SuccessRate,
     difference_interval,
     interval_over_trainings,
+    mean_interval,
 )
 from madviz.policies.seeds import use_of
 
@@ -108,7 +109,7 @@ class Row:
         if not cell:
             return None
         rate = SuccessRate.counted(cell.values())
-        return replace(rate, interval=_interval(cell, rate.interval))
+        return replace(rate, interval=_interval(cell, rate.interval, mean_interval))
 
     def shares(self, columns: Sequence[str]) -> dict[Unit, float]:
         """By unit, the share of ``columns`` that succeeded; of units that have them all."""
@@ -130,7 +131,12 @@ class Row:
         if not shares:
             return None
         rate = SuccessRate.mean(list(shares.values()), len(present))
-        return replace(rate, interval=_interval(shares, rate.interval))
+        parts = len(present)
+
+        def over_scenes(scenes: Sequence[float], trainings: int) -> Interval:
+            return mean_interval(scenes, parts * trainings)
+
+        return replace(rate, interval=_interval(shares, rate.interval, over_scenes))
 
 
 @dataclass(frozen=True)
@@ -174,17 +180,33 @@ def difference(first: Row, second: Row, columns: Sequence[str]) -> Difference | 
     seeds = [{unit[1] for unit in units if unit[0] == task} for task in tasks]
     complete = sorted(set.intersection(*seeds))
     trainings = tuple(sum(by_training[s]) / len(by_training[s]) for s in complete)
-    interval = _interval(dict(zip(units, gaps, strict=True)), difference_interval(gaps), -1.0)
+    interval = _interval(
+        dict(zip(units, gaps, strict=True)),
+        difference_interval(gaps),
+        lambda scenes, _: difference_interval(scenes),
+        -1.0,
+    )
     return Difference(value, interval, len(gaps), tasks, tuple(shared), trainings)
 
 
-def _interval(values: Mapping[Unit, float], episodes: Interval, least: float = 0.0) -> Interval:
-    """``episodes``, the interval over episodes; wider where a task has several trainings. Values
-    lie between ``least`` and 1."""
+def _interval(
+    values: Mapping[Unit, float],
+    episodes: Interval,
+    over_scenes: Callable[[Sequence[float], int], Interval],
+    least: float = 0.0,
+) -> Interval:
+    """``episodes``, the interval over episodes, where every task has one training. Several meet the
+    same scenes, so their episodes are not independent: the interval is then over trainings, and at
+    least as wide as ``over_scenes``, of the means by scene and the number of trainings. Values lie
+    between ``least`` and 1."""
     trainings: dict[str, dict[int, list[float]]] = {}
-    for (task, training, _), value in values.items():
+    scenes: dict[tuple[str, int], list[float]] = {}
+    for (task, training, seed), value in values.items():
         trainings.setdefault(task, {}).setdefault(training, []).append(value)
-    if all(len(by_seed) == 1 for by_seed in trainings.values()):
+        scenes.setdefault((task, seed), []).append(value)
+    most = max(map(len, trainings.values()))
+    if most == 1:
         return episodes
     groups = [[by_seed[s] for s in sorted(by_seed)] for _, by_seed in sorted(trainings.items())]
-    return interval_over_trainings(groups, episodes, least)
+    means = [sum(scene) / len(scene) for scene in scenes.values()]
+    return interval_over_trainings(groups, over_scenes(means, most), least)

@@ -192,7 +192,7 @@ def along(
     from ``seed`` on; the rest as in ``audit``. Raises UserError for an axis that is none."""
     table, loaded = Table.opened(policy, store or Store(MEMORY), own=True)
     table.kept = kept
-    axes = [parse_axis(word, loaded.spec.streams) for word in dict.fromkeys(words)]
+    axes = dict.fromkeys(parse_axis(word, loaded.spec.streams) for word in words)
     sides: dict[Axis, list[SidePlay]] = {}
     for axis in axes:
         share = 1 / len(axis.sides)

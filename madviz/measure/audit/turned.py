@@ -49,7 +49,7 @@ def along_pairs(
     """At most ``most`` pairs: of every side the episode that was lost nearest to its breaking
     point, then others."""
     lists = []
-    axes = [parse_axis(word, policy.spec.streams) for word in dict.fromkeys(words)]
+    axes = dict.fromkeys(parse_axis(word, policy.spec.streams) for word in words)
     for axis, row in zip(axes, found["axes"], strict=True):
         who = found["labels"].get(row["camera"] or "", "all cameras")
         for side, side_row in zip(axis.sides, row["sides"], strict=True):
