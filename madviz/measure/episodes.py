@@ -101,7 +101,8 @@ def run_episode(
     between two decisions.
     """
     streams = policy.spec.streams
-    every, intact = np.ones_like(mask), Ablation()
+    every = np.ones_like(mask)
+    intact = Ablation()
     for needed in (mask, every) if begin else (mask,):
         if not policy.supports(needed):
             raise unsupported(policy.spec, needed)
@@ -116,7 +117,8 @@ def run_episode(
         while not now.last:
             if stop():
                 raise Stopped
-            present, fails = (mask, ablation) if decision >= begin else (every, intact)
+            present = mask if decision >= begin else every
+            fails = ablation if decision >= begin else intact
             cameras = dict.fromkeys(
                 camera_of(s) for s, on in zip(streams, present, strict=True) if on
             )
@@ -172,8 +174,9 @@ class Runner:
         policy's files changed meanwhile."""
         env, policy = self.opened(job)
         self._place(env, dict(job.condition.moves))
-        condition, streams = job.condition, policy.spec.streams
-        mask, ablation = condition.mask(streams), condition.ablation(streams)
+        condition = job.condition
+        mask = condition.mask(policy.spec.streams)
+        ablation = condition.ablation(policy.spec.streams)
         with one_thread():
             result = run_episode(
                 policy, env, mask, ablation, job.seed, self._stop, watch, condition.begin

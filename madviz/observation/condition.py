@@ -67,7 +67,7 @@ class Condition:
         )
 
     def at(self, step: int) -> Condition:
-        """What is given at ``step``, for itself."""
+        """The condition of ``step`` alone."""
         now = self if step >= self.begin else Condition("all", (), self.moves)
         return replace(now, begin=0)
 

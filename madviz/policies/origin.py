@@ -55,8 +55,8 @@ class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def origin_of(folder: Path) -> Origin | None:
-    """What the file in ``folder`` says; None where there is none. Raises UserError for a file that
-    says anything else."""
+    """The origin of the policy in ``folder``; None where no file is. Raises UserError for a file
+    that says anything else."""
     file = folder / ORIGIN
     if not file.is_file():
         return None

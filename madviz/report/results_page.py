@@ -138,7 +138,8 @@ def _trained_again(rows: Sequence[Row]) -> str:
 def _read_words(rows: Sequence[Row]) -> str:
     """How often reporting seeds were read, by the ledger; untouched is said of no policy that was
     read with other weights before."""
-    again, touched = [], []
+    again = []
+    touched = []
     for name, task, path in _policies(rows):
         known = readings(path)
         read, _ = times_read(known, name, task, range(FIRST_REPORTING, FIRST_GUARD))
