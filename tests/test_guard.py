@@ -13,7 +13,7 @@ import pytest
 
 from madviz.errors import UserError
 from madviz.guard.detector import Guard
-from madviz.guard.fit import fit_values, seen_episode
+from madviz.guard.fit import blank_steps, fit_values, seen_episode
 from madviz.guard.pictures import sums_of
 from madviz.guard.policy import GuardedPolicy, guard_note
 from madviz.guard.values import LARGEST, GuardValues, read_values, write_values
@@ -158,6 +158,26 @@ def test_a_picture_that_shows_nothing_of_the_robot_gives_no_weights() -> None:
         others = [{"camera": scene.picture(place)} for place in scene.walk(seed + 50)]
         episodes.append(seen_episode(others, states))
     assert fit_values(episodes, (42, 42)).streams["camera"].numbers == ()
+
+
+def test_a_black_picture_among_those_that_are_fitted_switches_nothing_off() -> None:
+    size = (42, 42)
+    black = sums_of(np.zeros((*size, 3), np.uint8))
+    episodes = [scene.episode(seed) for seed in range(8)]
+    sums = episodes[5].sums["camera"]
+    warm = (black, *sums[1:30], black, *sums[31:])
+    fitted = [*episodes[:5], replace(episodes[5], sums={"camera": warm}), *episodes[6:]]
+    assert blank_steps(fitted, size) == {"camera": [(5, 0), (5, 30)]}
+    values = fit_values(fitted, size)
+    for name in ("black from step 0", "covered", "blurred"):
+        kinds = CASES["cases"][NAMES.index(name)]["kinds"]
+        assert scene.verdicts(values, 100, scene.SHOWS[name]) == kinds
+    dark = [replace(one, sums={"camera": (black,) * len(sums)}) for one in episodes]
+    assert blank_steps(dark, size) == {"camera": []}, "black is what this stream shows"
+    assert fit_values(dark, size).streams["camera"].dark == 441
+    short = [seen_episode([{"camera": np.zeros((*size, 3), np.uint8)}] * 5, np.zeros((5, 2)))] * 5
+    with pytest.raises(UserError, match="in which camera shows something, found 3"):
+        fit_values([*episodes[:3], *short], size)
 
 
 def test_the_guard_needs_no_torch() -> None:

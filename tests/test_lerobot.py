@@ -20,6 +20,9 @@ from PIL import Image
 from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
+from madviz.guard.fit import fit_values
+from madviz.guard.policy import GuardedPolicy
+from madviz.measure.guard_fit import play_intact
 from madviz.recorded.recordings import open_recordings
 from madviz.recording import lerobot
 from madviz.recording import record as recording
@@ -141,6 +144,16 @@ def test_a_camera_that_a_policy_cannot_do_without_is_named_with_its_step() -> No
     with closing(make_env("toy/reach")) as env:
         with pytest.raises(UserError, match="at step 3; let them fail otherwise"):
             list(policy_decisions(AllOrNothing(), env, schedule, 3))
+
+
+def test_a_camera_that_the_guard_leaves_out_is_none_that_was_given() -> None:
+    policy = FakePolicy()
+    schedule = recording.parse_schedule(("first=black@3",), CAMERAS)
+    with closing(make_env("toy/reach")) as env:
+        fitted = fit_values([play_intact(policy, env, seed, 0.2) for seed in range(4)], (84, 84))
+        played = list(policy_decisions(GuardedPolicy(policy, fitted), env, schedule, 5))
+    masks = np.array([one.mask for one in played])
+    assert masks[:, 1:].all() and list(np.flatnonzero(masks[:, 0])) == [0, 1, 2]
 
 
 class Short(ToyReach):

@@ -28,6 +28,7 @@ from tests.recordings import (
     TASKS,
     TOP,
     VIDEO,
+    WRIST,
     Small,
     level,
     picture,
@@ -191,6 +192,28 @@ def test_recordings_in_other_units_are_refused_for_a_policy(tmp_path: Path) -> N
         robot_of(found).check_units(other)
 
 
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (Small(films=False, fps=30), "steps a second 10, found 30"),
+        (
+            Small(films=False, sizes={TOP: (36, 64), WRIST: (64, 48)}),
+            "width to height top 4/3, wrist 3/4, found top 16/9, wrist 3/4",
+        ),
+        (
+            Small(films=False, sizes={"observation.images.Top": (48, 64), WRIST: (64, 48)}),
+            "found observation.images.Top, observation.images.wrist",
+        ),
+    ],
+)
+def test_recordings_of_another_robot_are_refused(other: Small, words: str, tmp_path: Path) -> None:
+    robot = robot_of(open_recordings(Small(films=False).write(tmp_path / "mine")))
+    small = Small(films=False, sizes={TOP: (24, 32), WRIST: (64, 48)})
+    robot.check(open_recordings(small.write(tmp_path / "small")))
+    with pytest.raises(UserError, match=words):
+        robot.check(open_recordings(other.write(tmp_path / "other")))
+
+
 def test_names_of_another_count_are_said(tmp_path: Path) -> None:
     written = Small(films=False)
     features = written.info["features"]
@@ -224,6 +247,18 @@ def test_depth_is_said_to_be_left_out(tmp_path: Path) -> None:
     found = open_recordings(written.write(tmp_path / "mine"))
     assert [camera.name for camera in found.cameras] == ["wrist"]
     assert found.left_out == (f"camera {TOP}: depth is not read",)
+
+
+def test_a_camera_without_three_channels_is_said_to_be_left_out(tmp_path: Path) -> None:
+    written = Small(films=False)
+    written.info["features"][TOP]["shape"] = [48, 64, 1]
+    found = open_recordings(written.write(tmp_path / "mine"))
+    assert [camera.name for camera in found.cameras] == ["wrist"]
+    (line,) = found.left_out
+    assert line == f"camera {TOP}: expected 3 channels, found the shape [48, 64, 1]"
+    written.info["features"][WRIST]["shape"] = [64, 48, 4]
+    with pytest.raises(UserError, match="expected a camera, .*the shape \\[64, 48, 4\\]"):
+        open_recordings(written.write(tmp_path / "none"))
 
 
 Change = Callable[[Small], object]

@@ -25,6 +25,7 @@ from madviz.measure.audit.recorded import (
 from madviz.measure.audit.recorded_account import recorded_account
 from madviz.measure.formulas import t_interval
 from madviz.measure.guard_fit import GuardConfig, guard_words, run_guard
+from madviz.measure.mean_picture import mean_pictures
 from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.policies.guarded import with_guard
 from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
@@ -37,7 +38,7 @@ from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
 from madviz.types import Array, Encoded, PolicySpec, Readout
-from tests.recordings import Small
+from tests.recordings import TOP, Small, level, png
 
 FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
 
@@ -147,6 +148,35 @@ def test_answers_that_are_not_finite_are_named_and_left_out(bench: Path) -> None
     still = replace(audit.robot, actions=Scaling((0.0,) * 3, (0.0,) * 3))
     with pytest.raises(UserError, match="expected actions that change"):
         recorded_audit(replace(audit, robot=still))
+
+
+def test_episodes_with_a_broken_picture_are_named_and_left_out(bench: Path, tmp_path: Path) -> None:
+    """``bench`` sets the cache."""
+    small = Small(episodes=20, films=False)
+    for episode in (0, 9):  # One of training, one held out.
+        small.rows[TOP][6 * episode + 1] = {"bytes": b"no picture", "path": None}
+    small.rows[TOP][6 * 4] = {"bytes": png(np.zeros((48, 64, 3), np.uint8)), "path": None}
+    folder = small.write(tmp_path / "broken")
+    audit = audit_of(folder)
+    document = recorded_audit(audit)
+    assert document["episodes"] == [19]
+    assert [line[:11] for line in document["left_out"]] == ["episode 0: ", "episode 9: "]
+    lines = dry_run(audit.policy, audit.robot, folder)
+    assert "episode 19 of broken (the policy was not trained on it)" in lines[0]
+    assert lines[-2].startswith("left out: episode 9: ") and "no robot moved" in lines[-1]
+    own = GuardConfig("tests.recorded_policy:make", out=tmp_path / "own.json", recording=folder)
+    fitted = run_guard(own)
+    assert fitted["seeds"] == [1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12, 13]
+    blank = "Left out: top: 1 even or dark picture, the first at step 0 of episode 4"
+    assert guard_words(fitted).endswith(blank) and "Left out: episode 0: " in guard_words(fitted)
+
+
+def test_a_policy_gets_the_mean_picture_of_training_episodes_alone(bench: Path) -> None:
+    found = mean_pictures(env_spec(allow_recording(bench)), ("wrist", "top"))
+    chosen = [0, 2, 4, 6, 8, 11, 13, 15, 17]  # Every second one that is not held out.
+    expected = np.mean([level(episode, step) for episode in chosen for step in range(6)])
+    assert list(found) == ["wrist", "top"]
+    assert np.abs(found["top"][30:54, 10:40] - expected).max() <= 1
 
 
 def test_one_of_two_cameras_alone_is_the_other_one_removed(bench: Path) -> None:

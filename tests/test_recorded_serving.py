@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from websockets.sync.server import ServerConnection
 
+from madviz.envs.registry import make_env
 from madviz.errors import UserError
+from madviz.measure.audit.recorded import RecordedAudit
 from madviz.policies.checkpoint import load_policy, robot_of_policy
 from madviz.recorded.films import letterboxed
 from madviz.recorded.known import VARIABLE, allow_recording, recordings_of
@@ -24,7 +26,7 @@ from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
 from madviz.wire.reference import with_wire
-from tests.recordings import TOP, Small
+from tests.recordings import TASKS, TOP, Small
 from tests.wires import foreign_server, wiring_file
 
 FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
@@ -142,6 +144,37 @@ def test_another_programs_policy_gets_pictures_as_they_were_recorded(
     wrong = with_wire(address, wiring_file(tmp_path, **{**file, "size": "[24, 32]"}))
     with pytest.raises(UserError, match="the size of 'wrist' to be a square"):
         load_policy(wrong)
+
+
+def test_a_served_policy_gets_what_was_recorded(tmp_path: Path) -> None:
+    """The episode's own words, and the raw state also where training has one value alone."""
+    looks: list[dict[str, Any]] = []
+
+    def answer(look: dict[str, Any], connection: ServerConnection) -> dict[str, Any]:
+        looks.append(look)
+        return {"actions": np.zeros(3, np.float32)}
+
+    small = Small(episodes=4, films=False)
+    small.states[:, 1] = np.repeat([0.1, 5.0], [18, 6])  # The last episode is held out.
+    small.rows["observation.state"] = list(small.states)
+    task = allow_recording(small.write(tmp_path / "two"))
+    file = {"task": f'"{task}"', "cameras": '{ top = "top", wrist = "wrist" }'}
+    with foreign_server(answer, "openpi") as address, closing(make_env(task)) as env:
+        served = load_policy(with_wire(address, wiring_file(tmp_path, **file)))
+        recordings = recordings_of(task)
+        audit = RecordedAudit(served, robot_of(recordings), recordings, env.spec, ("dropped",))
+        for episode in range(4):
+            state = env.reset(episode).state
+            encoded = served.encode(np.zeros((2, 3, 84, 84), np.uint8), state)
+            served.read(encoded, np.ones((1, 2), bool))
+            audit.answers(episode, np.array([0]), {})
+            for look in looks:
+                assert look["prompt"] == TASKS[episode % 2]
+                np.testing.assert_array_equal(look["state"], small.states[6 * episode])
+            looks.clear()
+        own = load_policy(with_wire(address, wiring_file(tmp_path, **file, instruction='"lift"')))
+        own.read(own.encode(np.zeros((2, 3, 84, 84), np.uint8), state), np.ones((1, 2), bool))
+        assert looks[0]["prompt"] == "lift"
 
 
 def test_a_dry_run_says_rate_jump_and_what_was_out_of_range(trained: tuple[Path, Path]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from madviz.envs.checks import check_action, check_size, resized_cameras
 from madviz.errors import UserError
 from madviz.recorded.known import LABEL, SUITE, recordings_of
-from madviz.recorded.moment import RecordedMoment
+from madviz.recorded.moment import RecordedMoment, RecordedState
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import robot_of
 from madviz.recorded.scaling import Scaling
@@ -73,7 +73,7 @@ class RecordedRobot:
         recordings that nobody has named, and for ``cameras`` that are not its own."""
         self.spec = self.describe(task, render_profile, cameras)
         self._found = recordings_of(self.spec.task)
-        self._states = np.zeros((1, self.spec.state_dim), np.float32)
+        self._states = self._raw = np.zeros((1, self.spec.state_dim), np.float32)
         self._actions = np.zeros((1, self.spec.action_dim), np.float32)
         self._episode = self._found.episodes[0]
         self._step = 0
@@ -81,9 +81,9 @@ class RecordedRobot:
     def reset(self, seed: int) -> TimeStep:
         episodes = self._found.episodes
         self._episode = episodes[seed % len(episodes)]
-        states, actions = self._found.numbers(self._episode.index)
+        self._raw, actions = self._found.numbers(self._episode.index)
         of_states, of_actions = scalings(self._found)
-        self._states = of_states.scale(states)  # (T, S)
+        self._states = of_states.scale(self._raw)  # (T, S)
         self._actions = of_actions.scale(actions)  # (T, A)
         self._step = 0
         return self._now()
@@ -139,7 +139,9 @@ class RecordedRobot:
 
     def _now(self) -> TimeStep:
         last = self._step >= max(len(self._states) - 1, 1)
-        return TimeStep(self._states[self._row], 0.0, success=False, last=last)
+        row = self._row
+        state = RecordedState.of(self._states[row], self._raw[row], self._episode.task)
+        return TimeStep(state, 0.0, success=False, last=last)
 
 
 @lru_cache(maxsize=8)

@@ -32,6 +32,8 @@ STALE = ("frozen", "lossy", "late")
 """Kinds that only new pictures end."""
 SMALLEST = 0.01
 """Movements up to this are none, in units of the state."""
+COVERED = 20
+"""Cells that are dark beyond the usual count where a lens is covered."""
 GOOD = 3
 """Good pictures in a row before a camera is used again."""
 LOSSY = 20
@@ -192,7 +194,7 @@ class _Stream:
         usual = self._values
         if sums.spread < 0.25 * usual.spread:
             return "black", f"an even picture: cells differ by {sums.spread:.0f}"
-        if sums.dark >= usual.dark + 20:
+        if sums.dark >= usual.dark + COVERED:
             return "covered", f"{sums.dark} of {len(sums.cells)} cells are black"
         if sums.rough > 1.5 * usual.rough:
             return "noise", f"{sums.rough / usual.rough:.1f} times as rough as the roughest usual"

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.guard.pictures import PictureSums, sums_of
+from madviz.guard.detector import COVERED
+from madviz.guard.pictures import CELLS, PictureSums, sums_of
 from madviz.guard.values import GuardValues, StreamValues, encoded_weights
 from madviz.types import Array
 
@@ -22,6 +24,8 @@ NUMBERS = 4
 """The most numbers that are read from one stream."""
 FEWEST = 4
 """Episodes."""
+EVEN = 2.0
+"""Cells of an even picture differ by less, in grey levels of 255."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +53,9 @@ def fit_values(
 ) -> GuardValues:
     """The values of a guard for pictures of ``size`` (rows, columns).
 
-    ``state``: the places in the state that say where the robot is, by default all. Raises UserError
-    for fewer than four episodes, and for a robot that never moved.
+    ``state``: the places in the state that say where the robot is, by default all. Pictures of
+    ``blank_steps`` are left out. Raises UserError for fewer than four episodes, also of one stream,
+    and for a robot that never moved.
     """
     if len(episodes) < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {len(episodes)}")
@@ -63,17 +68,59 @@ def fit_values(
     places = tuple(place for place, moves in zip(places, moving, strict=True) if moves)
     unit = tuple(float(f"{value:.6g}") for value in deviation[moving])
     positions = [episode.states[:, list(places)] / np.array(unit) for episode in episodes]
+    blank = blank_steps(episodes, size)
     return GuardValues(
         schema=1,
         size=size,
         state=places,
         unit=unit,
         streams={
-            name: _stream([episode.sums[name] for episode in episodes], positions)
+            name: _stream(*_shown(name, episodes, positions, set(blank[name])))
             for name in episodes[0].sums
         },
         seeds=seeds,
     )
+
+
+def blank_steps(
+    episodes: list[SeenEpisode], size: tuple[int, int]
+) -> dict[str, list[tuple[int, int]]]:
+    """By stream, the place of an episode and the step of each picture that is even, or so dark that
+    no covered lens would be darker; none for a stream of which half the pictures or more are so."""
+    even = EVEN * 3 * size[0] * size[1] / CELLS**2
+    found: dict[str, list[tuple[int, int]]] = {}
+    for name in episodes[0].sums:
+        steps = [
+            (place, step)
+            for place, episode in enumerate(episodes)
+            for step, picture in enumerate(episode.sums[name])
+            if picture.spread < even or picture.dark + COVERED > CELLS**2
+        ]
+        few = 2 * len(steps) < sum(len(episode.sums[name]) for episode in episodes)
+        found[name] = steps if few else []
+    return found
+
+
+def _shown(
+    name: str, episodes: list[SeenEpisode], positions: list[Array], blank: set[tuple[int, int]]
+) -> tuple[list[tuple[PictureSums, ...]], list[Array]]:
+    """The stretches of the episodes between ``blank`` pictures of a stream: sums and positions."""
+    sums: list[tuple[PictureSums, ...]] = []
+    where: list[Array] = []
+    whole = 0
+    for place, episode in enumerate(episodes):
+        pictures = episode.sums[name]
+        cuts = [step for step in range(len(pictures)) if (place, step) in blank]
+        parts = [slice(a + 1, b) for a, b in pairwise([-1, *cuts, len(pictures)]) if b > a + 1]
+        sums += [pictures[part] for part in parts]
+        where += [positions[place][part] for part in parts]
+        whole += bool(parts)
+    if whole < FEWEST:
+        raise UserError(
+            f"expected {FEWEST} episodes or more in which {name} shows something, found {whole}: "
+            "others are even or dark; fit on more episodes"
+        )
+    return sums, where
 
 
 def _stream(sums: list[tuple[PictureSums, ...]], positions: list[Array]) -> StreamValues:

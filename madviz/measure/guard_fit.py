@@ -16,7 +16,7 @@ import numpy as np
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.guard.fit import FEWEST, SeenEpisode, fit_values, seen_episode
+from madviz.guard.fit import FEWEST, SeenEpisode, blank_steps, fit_values, seen_episode
 from madviz.guard.policy import GuardedPolicy
 from madviz.guard.values import FILE, write_values
 from madviz.measure.episodes import one_thread
@@ -33,7 +33,7 @@ from madviz.recorded.robot import Robot
 from madviz.subsets import cameras_of
 from madviz.system.files import written_to
 from madviz.system.numbers import Count
-from madviz.types import Array, Environment, Policy
+from madviz.types import Array, Environment, Policy, PolicySpec
 
 FIRST_SEED = FIRST_TRAINING + 900
 """The last hundred training seeds."""
@@ -67,6 +67,8 @@ class FittedFile(TypedDict):
     seeds: list[int]
     late: dict[str, bool]
     """By stream: True where the robot's movements alone show that a picture is late."""
+    left_out: list[str]
+    """A line for each episode that cannot be decoded, and for each stream's blank pictures."""
 
 
 def run_guard(config: GuardConfig) -> FittedFile:
@@ -87,9 +89,10 @@ def run_guard(config: GuardConfig) -> FittedFile:
             f"expected a policy of {recorded}, found {spec.name!r} of {spec.task}; leave out "
             "--recording, or name the recordings that it learned from"
         )
+    left_out: list[str] = []
     if is_recording(spec.task):
-        seeds = training_places(recordings_of(spec.task), checkpoint.robot_of_policy(reference))
-        seeds = seeds[: config.episodes]
+        robot = checkpoint.robot_of_policy(reference)
+        seeds, left_out = training_places(recordings_of(spec.task), robot, spec, config.episodes)
     else:
         seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
@@ -109,23 +112,46 @@ def run_guard(config: GuardConfig) -> FittedFile:
         "bytes": out.stat().st_size,
         "seeds": list(seeds),
         "late": {name: bool(stream.numbers) for name, stream in values.streams.items()},
+        "left_out": [*left_out, *_blank_words(blank_steps(episodes, size), seeds)],
     }
 
 
-def training_places(recordings: Recordings, robot: Robot | None) -> tuple[int, ...]:
-    """The places, among all episodes, of those that the policy of ``robot`` was trained on, or that
-    are not held out where there is no robot: the seeds that begin them. Raises UserError for other
-    recordings than it learned from, and for fewer than four such episodes."""
+def training_places(
+    recordings: Recordings, robot: Robot | None, spec: PolicySpec, most: int
+) -> tuple[tuple[int, ...], list[str]]:
+    """The places, among all episodes, of the first ``most`` that the policy of ``robot`` was
+    trained on, or that are not held out where there is no robot: the seeds that begin them. And a
+    line for each before these that cannot be decoded. Raises UserError for other recordings than it
+    learned from, and for fewer than four such episodes."""
     if robot is not None:
         robot.check_units(recordings)
     unseen = recordings.held_out if robot is None else robot.unseen(recordings)
-    places = tuple(i for i, one in enumerate(recordings.episodes) if one.index not in unseen)
+    places: list[int] = []
+    faults: list[str] = []
+    for place, one in enumerate(recordings.episodes):
+        if one.index in unseen or len(places) == most:
+            continue
+        if fault := recordings.fault(one.index, spec.image_size):
+            faults.append(fault)
+        else:
+            places.append(place)
     if len(places) < FEWEST:
+        found = "; ".join([f"{len(places)}", *faults[:1]])
         raise UserError(
             f"{recordings.path}: expected {FEWEST} episodes or more that the policy was trained "
-            f"on, found {len(places)}; name the recordings that it learned from"
+            f"on, found {found}; name the recordings that it learned from"
         )
-    return places
+    return tuple(places), faults
+
+
+def _blank_words(blank: dict[str, list[tuple[int, int]]], seeds: tuple[int, ...]) -> list[str]:
+    """A line for each stream of ``blank_steps``."""
+    return [
+        f"{name}: {len(steps)} even or dark picture{'s' * (len(steps) > 1)}, the first at step "
+        f"{steps[0][1]} of episode {seeds[steps[0][0]]}"
+        for name, steps in blank.items()
+        if steps
+    ]
 
 
 def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:
@@ -162,6 +188,7 @@ def guard_words(fitted: FittedFile) -> str:
     return (
         f"{fitted['file']}: {fitted['bytes']} bytes, fitted on {len(fitted['seeds'])} intact "
         f"training episodes, {_stretches(fitted['seeds'])}. {late}"
+        + "".join(f"\nLeft out: {line}" for line in fitted["left_out"])
     )
 
 

@@ -10,6 +10,8 @@ pixel, spread over the episode: 8 x 5 = 40 pictures. With a horizon of 100 they 
 steps 0, 20, 40, 60 and 80. The seeds are selection seeds (``policies/seeds.py``), no scene that a
 reported rate is measured on. The same environment gives the same picture to the bit, so worker
 processes make theirs by themselves, once each. On Meta-World that takes some seconds.
+
+On recordings they are those of about eight training episodes, five or more steps of each.
 """
 
 from __future__ import annotations
@@ -20,8 +22,11 @@ from functools import lru_cache
 import numpy as np
 
 from madviz.envs.registry import make_env
+from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE, MeanPictures, StreamStack, stream_frame
 from madviz.policies.seeds import FIRST_SELECTION
+from madviz.recorded.known import recordings_of
+from madviz.recorded.recordings import Recordings
 from madviz.subsets import camera_of, cameras_of
 from madviz.types import EnvSpec, PolicySpec
 
@@ -35,6 +40,8 @@ PICTURES = 5
 def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE) -> MeanPictures:
     """The mean picture of each of ``streams``, (H, W, C) uint8, H and W being ``size``, from an
     environment of its own with the cameras where ``env`` has them; made at the first call."""
+    if env.recorded:
+        return recorded_means(recordings_of(env.task), streams, size)[0]
     sums: dict[str, np.ndarray] = {}
     steps = {round(env.horizon * number / PICTURES) for number in range(PICTURES)}
     with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
@@ -49,6 +56,26 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE
                 world.step(world.expert())
     count = EPISODES * len(steps)
     return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}
+
+
+def recorded_means(
+    recordings: Recordings, streams: tuple[str, ...], size: int
+) -> tuple[MeanPictures, list[str]]:
+    """The mean picture of each of ``streams`` in the training episodes, and a line for each episode
+    that was chosen and cannot be decoded. Raises UserError if none of these can."""
+    names = [camera.name for camera in recordings.cameras]
+    pictures: list[np.ndarray] = []
+    faults: list[str] = []
+    for index in recordings.training[:: max(1, len(recordings.training) // 8)]:
+        if fault := recordings.fault(index, size):
+            faults.append(fault)
+            continue
+        frames = recordings.frames(index, size)  # (T, V, H, W, 3)
+        pictures.append(frames[:: max(1, len(frames) // 5)].mean(axis=0))
+    if not pictures:
+        raise UserError(f"expected a training episode that can be decoded, found none: {faults[0]}")
+    mean = np.round(np.mean(pictures, axis=0)).astype(np.uint8)  # (V, H, W, 3)
+    return {stream: mean[names.index(stream)] for stream in streams}, faults
 
 
 def stack_of(policy: PolicySpec, env: EnvSpec) -> StreamStack:

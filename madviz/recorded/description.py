@@ -167,7 +167,10 @@ def _cameras(
             continue
         if len(shape) == 3 and shape[0] == 3 and shape[2] != 3:
             shape = [*shape[1:], 3]  # Some datasets say channels first.
-        if len(shape) != 3 or shape[2] != 3 or not all(0 < n <= LARGEST for n in shape[:2]):
+        if len(shape) == 3 and shape[2] != 3:
+            unread.append(f"camera {key:.80}: expected 3 channels, found the shape {shape!r:.60}")
+            continue
+        if len(shape) != 3 or not all(0 < n <= LARGEST for n in shape[:2]):
             raise UserError(
                 f"{where}: expected {key!r:.80} of shape [height, width, 3] up to {LARGEST}, "
                 f"found {shape!r:.60}; {_FIX}"
@@ -176,7 +179,10 @@ def _cameras(
         kind = "image" if feature.dtype == "image" else "video"
         cameras.append(RecordedCamera(key, name, shape[0], shape[1], kind))
     if not cameras:
-        raise UserError(f"{where}: expected a camera, a feature of images or video, found none")
+        found = "; ".join(["none", *unread])
+        raise UserError(
+            f"{where}: expected a camera, a feature of images or video, found {found:.300}"
+        )
     return tuple(cameras), unread
 
 

@@ -4,7 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from madviz.types import Array
+
+
+class RecordedState(np.ndarray):
+    """A scaled state (S,) that carries what was recorded with it, for a policy that is served. What
+    is computed from it carries nothing."""
+
+    raw: Array | None = None
+    """(S,) float32 in the robot's units."""
+    task: str | None = None
+    """The episode's task in words."""
+
+    @classmethod
+    def of(cls, scaled: Array, raw: Array, task: str) -> RecordedState:
+        """``scaled`` (S,) float32 with ``raw`` (S,) and ``task``."""
+        state = scaled.view(cls)
+        state.raw = raw
+        state.task = task
+        return state
 
 
 @dataclass(frozen=True)

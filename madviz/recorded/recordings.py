@@ -69,15 +69,21 @@ class Recordings:
         name = f"episode-{episode:06d}"
         return packed(name, sources, facts, shape, self._pictures(location))
 
+    def fault(self, episode: int, size: int) -> str:
+        """Why the pictures of an episode cannot be decoded, in one line; '' where they can be."""
+        try:
+            self.frames(episode, size)
+        except UserError as error:
+            return f"episode {episode}: {error}"
+        return ""
+
     def prepared(self, size: int, done: Callable[[int], None] = lambda _: None) -> Recordings:
         """These recordings with all pictures decoded; episodes that cannot be are left out, too.
         ``done`` gets the number of episodes that are ready. Raises UserError if none is left."""
         broken: dict[int, str] = {}
         for number, episode in enumerate(self.episodes, start=1):
-            try:
-                self.frames(episode.index, size)
-            except UserError as error:
-                broken[episode.index] = f"episode {episode.index}: {error}"
+            if fault := self.fault(episode.index, size):
+                broken[episode.index] = fault
             done(number)
         whole = tuple(one for one in self.episodes if one.index not in broken)
         left_out = (*self.left_out, *broken.values())

@@ -14,6 +14,7 @@ that it learned from are known by a digest of their numbers, in whatever dataset
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,11 +105,16 @@ class Robot:
         return (states < low - slack) | (states > high + slack)
 
     def check(self, recordings: Recordings) -> None:
-        """Raises UserError for recordings of a robot with other cameras or numbers."""
+        """Raises UserError for recordings of a robot with other cameras, numbers or rate."""
+        ours = {one.name: one for one in recordings.cameras}
+        pairs = [(one, ours[one.name]) for one in self.cameras if one.name in ours]
         facts = (
             ("cameras", [one.name for one in self.cameras], [c.name for c in recordings.cameras]),
             ("states", list(self.state_names), list(recordings.state_names)),
             ("actions", list(self.action_names), list(recordings.action_names)),
+            ("columns of pictures", [one.key for one, _ in pairs], [c.key for _, c in pairs]),
+            ("width to height", [_aspect(one) for one, _ in pairs], [_aspect(c) for _, c in pairs]),
+            ("steps a second", [f"{self.fps:g}"], [f"{recordings.fps:g}"]),
         )
         for what, expected, found in facts:
             if set(expected) - set(found) or (what != "cameras" and expected != found):
@@ -127,6 +133,10 @@ class Robot:
                 "states or actions of another range, or another episode held out; `madviz audit "
                 "--recording` converts them"
             )
+
+
+def _aspect(camera: RecordedCamera) -> str:
+    return f"{camera.name} {Fraction(camera.width, camera.height)}"
 
 
 @lru_cache(maxsize=8)

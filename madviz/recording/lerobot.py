@@ -37,6 +37,7 @@ import pyarrow.parquet as pq
 from PIL import Image
 
 from madviz.errors import UserError
+from madviz.guard.policy import GuardedPlayer
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.observation.schedule import Schedule, reached
@@ -122,8 +123,9 @@ def policy_decisions(
             pictures = stack.newest
             state = now.state
             action = player.act(policy.encode(stack.views, state), mask)
+            given = player.report.mask if isinstance(player, GuardedPlayer) else mask
             now = env.step(action)
-            yield Decision(pictures, mask, state, action, now.reward, now.success)
+            yield Decision(pictures, given, state, action, now.reward, now.success)
             if now.last:
                 return
 

@@ -34,7 +34,7 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
         )
     recordings = open_recordings(dataset)
     robot.check(recordings)
-    episode, held = _episode(recordings, robot)
+    episode, held, faults = _episode(recordings, robot, policy.spec.image_size)
     states, recorded = recordings.numbers(episode)
     actions, seconds, notes = _answers(policy, robot, recordings, episode, states)
     jumps = _jumps(robot, actions)
@@ -52,18 +52,27 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
     ]
     if notes:
         lines.append(f"the guard: {notes[0][1]}, first at step {notes[0][0]}, {len(notes)} steps")
+    lines += [f"left out: {line}" for line in faults]
     return [*lines, _sentence(rate, robot.fps, jumps, len(names))]
 
 
-def _episode(recordings: Recordings, robot: Robot) -> tuple[int, str]:
-    """The episode to answer to, and whether the policy was trained on it, in words."""
+def _episode(recordings: Recordings, robot: Robot, size: int) -> tuple[int, str, list[str]]:
+    """The episode to answer to, whether the policy was trained on it, in words, and a line for each
+    one before it that cannot be decoded. Raises UserError if none can."""
     unseen = robot.unseen(recordings)
-    episode = unseen[0] if unseen else recordings.episodes[-1].index
-    if not robot.trained_on:
-        return episode, "whether the policy was trained on it is not known"
-    if unseen:
-        return episode, "the policy was not trained on it"
-    return episode, "the policy was trained on it, as on all that are here"
+    others = (one.index for one in reversed(recordings.episodes) if one.index not in unseen)
+    faults: list[str] = []
+    for episode in (*unseen, *others):
+        if fault := recordings.fault(episode, size):
+            faults.append(fault)
+        elif not robot.trained_on:
+            return episode, "whether the policy was trained on it is not known", faults
+        elif episode in unseen:
+            return episode, "the policy was not trained on it", faults
+        else:
+            every = "" if unseen else ", as on all that are here"
+            return episode, f"the policy was trained on it{every}", faults
+    raise UserError(f"{recordings.path}: expected a whole episode, found none; {faults[-1]}")
 
 
 def _answers(

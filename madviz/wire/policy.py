@@ -5,7 +5,8 @@ answer: a pass for each subset. Such questions go over a connection of their own
 of an episode, because many servers remember the rest of a chunk for whoever is connected; whoever
 acts in an episode has another connection, and its answers in order (``ServedPlayer``).
 
-Where its task is a recording, states and actions go over the wire in the robot's own units.
+Where its task is a recording, states and actions go over the wire in the robot's own units, and
+the words are those of the episode at hand, unless the wire file has its own.
 
 A camera that is left out is not sent. Where the server cannot do without (``masks = false``), only
 the whole set is supported, and a failing camera must send something.
@@ -93,7 +94,7 @@ class ServedPolicy:
             picture = _sized(picture, shape, self.wiring.stretch)
             colour = modality_of(stream) != "depth"
             pictures[stream] = self.wiring.sent_picture(picture, camera_of(stream), colour)
-        state = np.asarray(state, np.float32)
+        state = np.asanyarray(state, np.float32)  # What was recorded stays with it.
         return Encoded(np.zeros((len(views), 1), np.float32), state, ServedLook(pictures))
 
     def read(self, encoded: Encoded, masks: Array) -> Readout:
@@ -129,8 +130,7 @@ class ServedPolicy:
     def own_action(self, answer: Array, state: Array) -> Array:
         """A row (A,) of an answer as the task's action (A,), before it is clipped; ``state`` (S,)
         is the one it acts in, as ``encode`` took it."""
-        state = state if self._robot is None else self._robot.states.unscale(state)
-        action = self.wiring.own_action(answer, state, self._env)
+        action = self.wiring.own_action(answer, self._raw(state), self._env)
         return self._robot.actions.scale(action) if self._robot else action
 
     def begun(self, connection: PolicyConnection, seed: int) -> Speaker:
@@ -162,9 +162,10 @@ class ServedPolicy:
             for (stream, picture), on in zip(encoded.private.pictures.items(), mask, strict=True)
             if on
         }
-        words = self.spec.instruction
-        state = encoded.state if self._robot is None else self._robot.states.unscale(encoded.state)
-        state = self.wiring.sent_state(state, self._env)
+        words = getattr(encoded.state, "task", None)  # A ``RecordedState`` has them.
+        if words is None or self.wiring.instruction is not None:
+            words = self.spec.instruction
+        state = self.wiring.sent_state(self._raw(encoded.state), self._env)
         message = look(self.wiring, speaker.name, shown_now, state, words, noise)
         if self._said and self._robot is not None:
             message[BOXED] = True
@@ -172,6 +173,13 @@ class ServedPolicy:
         found = speaker.ask(connection, message)
         self._warm = True
         return self._checked(connection, found)
+
+    def _raw(self, state: Array) -> Array:
+        """``state`` (S,) in the robot's units: as it was recorded, where that is known."""
+        if self._robot is None:
+            return state
+        recorded = getattr(state, "raw", None)
+        return self._robot.states.unscale(state) if recorded is None else recorded
 
     def _asked(self, encoded: Encoded, mask: Array) -> Array:
         if not self.supports(mask):

@@ -29,9 +29,11 @@ from madviz.errors import UserError
 from madviz.measure.audit.lost_cameras import INTACT, AuditRow, Cameras, How, What
 from madviz.measure.episodes import one_thread
 from madviz.measure.formulas import t_interval
+from madviz.measure.mean_picture import recorded_means
 from madviz.observation.condition import Condition
 from madviz.observation.streams import MeanPictures, StreamStack
 from madviz.recorded.known import LABEL
+from madviz.recorded.moment import RecordedState
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import Robot
 from madviz.recorded.scaling import each_apart
@@ -146,23 +148,14 @@ class RecordedAudit:
             return list(unseen or known)
         return [*unseen, *(index for index in known if index not in unseen)][:most]
 
-    def means(self) -> MeanPictures:
-        """The mean picture of each stream in the training episodes."""
-        size = self.policy.spec.image_size
-        names = [camera.name for camera in self.recordings.cameras]
-        pictures = []
-        for index in self.recordings.training[:: max(1, len(self.recordings.training) // 8)]:
-            frames = self.recordings.frames(index, size)  # (T, V, H, W, 3)
-            pictures.append(frames[:: max(1, len(frames) // 5)].mean(axis=0))
-        mean = np.round(np.mean(pictures, axis=0)).astype(np.uint8)  # (V, H, W, 3)
-        return {stream: mean[names.index(stream)] for stream in self.policy.spec.streams}
-
     def answers(self, index: int, steps: Array, means: MeanPictures) -> Array:
         """(N, T', A) scaled actions under each of ``conditions`` at ``steps`` of an episode."""
         spec = self.policy.spec
         names = [camera.name for camera in self.recordings.cameras]
         frames = self.recordings.frames(index, spec.image_size)  # (T, V, H, W, 3)
-        states = self.robot.states.scale(self.recordings.numbers(index)[0])  # (T, S)
+        raw = self.recordings.numbers(index)[0]  # (T, S)
+        states = self.robot.states.scale(raw)
+        task = next(one.task for one in self.recordings.episodes if one.index == index)
         groups: dict[object, list[int]] = defaultdict(list)
         for row, condition in enumerate(self.conditions):
             groups[condition.occlusions].append(row)
@@ -181,7 +174,8 @@ class RecordedAudit:
                 views = {name: View(pictures[names.index(name)], depth) for name in spec.streams}
                 stack.push(views, ablation, index, step)
                 if step in place:
-                    encoded = self.policy.encode(stack.views, states[step])
+                    state = RecordedState.of(states[step], raw[step], task)
+                    encoded = self.policy.encode(stack.views, state)
                     actions[rows, place[step]] = self.policy.read(encoded, masks).action
         return actions
 
@@ -210,9 +204,10 @@ def recorded_audit(
         raise UserError(
             f"{audit.recordings.path}: expected actions that change, found none; record others"
         )
-    means = audit.means()
+    spec = audit.policy.spec
+    means, faults = recorded_means(audit.recordings, spec.streams, spec.image_size)
     answered: dict[int, _Answered] = {}
-    left_out = list(audit.recordings.left_out)
+    left_out = [*audit.recordings.left_out, *faults]
     chosen = audit.chosen(most)
     for number, index in enumerate(chosen, start=1):
         recorded = audit.robot.actions.scale(audit.recordings.numbers(index)[1])  # (T, A)
@@ -235,7 +230,7 @@ def recorded_audit(
             print(f"{number} of {len(chosen)} episodes", file=sys.stderr)
     if not answered:
         raise UserError(f"expected an episode that can be decoded, found none: {left_out[-1]}")
-    return _document(audit, answered, left_out)
+    return _document(audit, answered, list(dict.fromkeys(left_out)))
 
 
 def _document(
