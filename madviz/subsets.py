@@ -75,9 +75,9 @@ def _name_of(bits: bytes, streams: tuple[str, ...]) -> str:
             return word
     parts: list[str] = []
     for camera in cameras_of(streams):
-        own = table[camera]
-        if (mask & own).sum() == own.sum():
-            parts.append(camera)
+        own = np.array([camera_of(stream) == camera for stream in streams])
+        if np.array_equal(table[camera], own) and mask[own].all():
+            parts.append(camera)  # Where a stream has the camera's name, the word means that one.
         else:
             parts += [s for s, on, mine in zip(streams, mask, own, strict=True) if on and mine]
     return "+".join(parts)

@@ -97,6 +97,26 @@ def test_it_is_watched_and_measured_as_any_other(model, capsys):
     assert black.rows["all"]["n"] == 1
 
 
+def test_every_command_that_loads_it_takes_the_users_word(model, tmp_path, monkeypatch, capsys):
+    name, file = f"sb3:{model[1]}@toy/reach", tmp_path / "saved.madviz.json"
+    trust(name, True)
+    session = Recorder(load_policy(name), seed=7)
+    session.at(0.0)
+    session.steps(2)
+    session.save().write(file)
+    alone = ["--conditions", "all", "first=black", "--episodes", "1", "--workers", "0"]
+    for words, code, said in (
+        (["compare", name, *alone], 0, ""),
+        (["replay", str(file), "--policy", name], 0, ""),
+        (["serve", "--policy", name, "--check", "nowhere"], 2, "recordings for --check"),
+    ):
+        monkeypatch.setenv(VARIABLE, "")
+        assert main(words) == 2 and f"--trust, or set {VARIABLE}" in capsys.readouterr().err
+        assert main([*words, "--trust"]) == code
+        printed = capsys.readouterr().err
+        assert said in printed and "--trust" not in printed
+
+
 @pytest.mark.parametrize("trusted", [True, False])
 def test_a_visitors_simulation_knows_whether_it_is_trusted(model, trusted):
     """The process that it is forked from was there before anybody said so."""

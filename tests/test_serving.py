@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from queue import Queue
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from madviz.examples.own_policy import Finder
 from madviz.measure.evaluate import evaluate
 from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
+from madviz.policies.players import Reader
+from madviz.serving import serve
 from madviz.serving.episodes import ServedEpisodes
 from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve
 from madviz.session.commands import Fork, Scrub, SetCamera
@@ -300,6 +304,34 @@ def test_a_picture_under_a_name_that_no_camera_has_is_refused():
         assert "expected pictures of first, third_a, third_b, found 'fisrt'" in str(socket.recv(5))
 
 
+@pytest.mark.parametrize("make", [FakePolicy, Chunked])
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        (lambda images: {"images": images}, "'images'"),
+        (lambda images: {"observation": {"images": {"left": images["first"]}}}, "'observation'"),
+        (lambda images: {"images": {"first": 1}}, "'images'"),
+        (lambda images: {"views": list(images.values())}, "'views'"),
+    ],
+)
+def test_pictures_in_a_table_are_not_taken_for_none(make, hidden, said):
+    with serving(make()) as server, connect(server.address) as client:
+        client.recv(5)
+        sent = {**hidden(look()["images"]), "state": np.zeros(6, np.float32)}
+        client.send(pack(sent, "openpi"))
+        answer = str(client.recv(5))
+    assert f"expected pictures beside 'state', found them in {said}; send each under" in answer
+
+
+@pytest.mark.parametrize("broken", [[np.nan, 0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]]])
+def test_an_action_that_is_none_does_not_go_out(broken, monkeypatch):
+    monkeypatch.setattr(Reader, "act", lambda *_: np.array(broken))
+    with serving(FakePolicy()) as server, connect(server.address) as client:
+        answer = told(client, "observation", look())
+    assert answer["type"] == "error"
+    assert "expected a finite action of 2 numbers" in answer["payload"]["error"]
+
+
 class Seen(FakePolicy):
     """Takes three frames, and keeps what arrived."""
 
@@ -361,6 +393,17 @@ def test_a_crowd_is_turned_away():
             late.recv(5)
         for one in crowd:
             one.close()
+
+
+def test_the_system_looks_whether_a_silent_client_is_still_there(monkeypatch):
+    found: Queue[int] = Queue()
+
+    def words(connection):
+        found.put(connection.socket.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE))
+
+    monkeypatch.setattr(serve, "_first_words", words)
+    with serving(FakePolicy()) as server, connect(server.address):
+        assert found.get(timeout=5)
 
 
 def test_a_place_that_cannot_be_served_is_said():

@@ -30,7 +30,7 @@ def test_names_to_masks(name: str, expected: str) -> None:
     assert "".join(map(str, mask_of(name, RGBD).astype(int))) == expected
 
 
-@pytest.mark.parametrize("streams", [THREE, RGBD])
+@pytest.mark.parametrize("streams", [THREE, RGBD, ("first", "first.depth", "third_a")])
 def test_every_mask_has_a_name_that_leads_back(streams: tuple[str, ...]) -> None:
     masks = every_mask(len(streams))
     names = [name_of(mask, streams) for mask in masks]

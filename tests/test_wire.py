@@ -23,6 +23,7 @@ from madviz.errors import Unfinished, UserError
 from madviz.measure.evaluate import EvalConfig, evaluate, run_eval
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Fork, Pause, Play, Scrub, SetCamera
+from madviz.subsets import name_of
 from madviz.wire.codec import DEEPEST, BadMessage, pack, unpack
 from madviz.wire.policy import noise_at
 from madviz.wire.reference import plain, with_wire
@@ -147,6 +148,25 @@ def test_a_stranger_must_be_wired():
     with foreign_server(towards_bright) as address:
         with pytest.raises(UserError, match=f"{address}: expected a server that says how.*--wire"):
             load_policy(address)
+
+
+def test_a_camera_beside_its_own_depth_is_another_stream_and_both_have_its_name(tmp_path):
+    cameras = '{ first = "wrist", "first.depth" = "deep", third_a = "front" }'
+    looks: list[dict[str, Any]] = []
+
+    def answer(look: dict[str, Any], connection: ServerConnection) -> dict[str, Any]:
+        looks.append(look["images"])
+        return {"actions": np.zeros(2)}
+
+    with foreign_server(answer) as address:
+        policy = load_policy(wired(address, tmp_path, cameras=cameras))
+        assert policy.spec.streams == ("first.rgb", "first.depth", "third_a")
+        assert name_of(np.array([1, 1, 0], bool), policy.spec.streams) == "first"
+        evaluate(policy, ["first", "first.rgb"], episodes=1)
+    assert [set(each) for each in looks[::25]] == [{"wrist", "deep"}, {"wrist"}]
+    cameras = cameras.replace("{", '{ "first.rgb" = "again",')
+    with pytest.raises(UserError, match="each stream once.*'cameras.first', which both send"):
+        load_policy(wired(address, tmp_path, cameras=cameras))
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

@@ -76,12 +76,12 @@ class LeRobotPolicy:
         keys = dict(cameras or {})
         for key in config.image_features:
             if key not in keys.values():
-                keys[key.removeprefix(PREFIX)] = key
+                keys.setdefault(key.removeprefix(PREFIX), key)
+        check_features(config, env, keys, letterbox, folder)
         self.shapes = {name: config.image_features[key].shape[1:] for name, key in keys.items()}
         """Rows and columns by stream."""
         self._keys = keys
         renamed = {name: key for name, key in keys.items() if name != key.removeprefix(PREFIX)}
-        check_features(config, env, keys, letterbox, folder)
         self._policy = get_policy_class(config.type).from_pretrained(folder, config=config).eval()
         self._before, self._after = processors(config, folder)
         largest = max(min(shape) for shape in self.shapes.values())
@@ -109,6 +109,11 @@ class LeRobotPolicy:
 
     @staticmethod
     def _config(folder: Path, action_steps: int | None) -> Any:
+        if not (folder / "config.json").is_file():
+            raise UserError(
+                f"{folder}: expected a folder of LeRobot's with config.json, found none; name the "
+                "one that its training wrote, pretrained_model"
+            )
         config: Any = PreTrainedConfig.from_pretrained(folder)
         config.device = "cpu"
         if config.n_obs_steps != 1:
@@ -164,7 +169,7 @@ class LeRobotPolicy:
 
     def read(self, encoded: Encoded, masks: Array) -> Readout:
         masks = np.atleast_2d(masks)
-        action = np.stack([self.action(self.memory(), encoded.private, mask) for mask in masks])
+        action = np.stack([self.reset(0).act(encoded, mask) for mask in masks])
         unknown = np.full(len(action), np.nan, np.float32)
         return Readout(np.zeros((len(action), 1), np.float32), np.clip(action, -1, 1), unknown)
 
@@ -172,24 +177,28 @@ class LeRobotPolicy:
         return len(mask) == len(self._keys) and bool(self.spec.can_drop or np.all(mask))
 
     def reset(self, seed: int) -> EpisodePlayer:
-        """A policy with randomness in it is seeded here; ACT has none."""
-        torch.manual_seed(seed)
-        return EpisodePlayer(self)
+        """An episode begins; ``seed`` fixes its noise, which ACT has none of."""
+        return EpisodePlayer(self, seed)
 
 
 class EpisodePlayer:
-    """Acts in one episode."""
+    """Acts in one episode, with noise of its own, whatever else acts at the same time."""
 
-    def __init__(self, policy: LeRobotPolicy) -> None:
+    def __init__(self, policy: LeRobotPolicy, seed: int) -> None:
         self._policy = policy
         self._memory = policy.memory()
+        self._noise = torch.Generator().manual_seed(seed).get_state()
 
     @property
     def planned(self) -> int:
         return len(getattr(self._memory, "_action_queue", ()))
 
     def act(self, encoded: Encoded, mask: Array) -> Array:
-        return self._policy.action(self._memory, encoded.private, mask)
+        with torch.random.fork_rng(devices=[]):  # The policy is on the CPU.
+            torch.set_rng_state(self._noise)
+            action = self._policy.action(self._memory, encoded.private, mask)
+            self._noise = torch.get_rng_state()
+        return action
 
     def close(self) -> None:
         """There is nothing to free."""
@@ -202,6 +211,11 @@ def check_features(
     than ``env`` has."""
     known = [camera.name for camera in env.cameras]
     shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
+    if not shapes:
+        raise UserError(
+            f"{folder}: expected pictures of {', '.join(known)}, found none; a policy of the state "
+            "alone is not served"
+        )
     for name, key in keys.items():
         if key not in shapes:
             raise UserError(
@@ -224,6 +238,9 @@ def check_features(
                 f"{folder}: expected {key} as a square, which cameras here draw, found {height} by "
                 f"{width}; say --letterbox, and black bars fill the rest"
             )
+    for key in shapes:
+        if key not in keys.values():
+            raise UserError(f"{folder}: expected --camera NAME={key}, found none; say which it is")
     numbers = {"state": (config.robot_state_feature, env.state_dim)}
     numbers |= {"action": (config.action_feature, env.action_dim)}
     for word, (feature, count) in numbers.items():

@@ -37,6 +37,7 @@ from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.listing import BrokenRow
+from madviz.policies.sb3 import trust
 from madviz.subsets import mask_of, name_of
 from madviz.system.files import read_rows, write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
@@ -67,6 +68,8 @@ class CompareConfig:
     played now, with the options below."""
     guard: bool = False
     """With ``--conditions``: a camera that the guard finds failing is left out."""
+    trust: bool = False
+    """With ``--conditions``: loads the file of sb3:FILE@TASK, which runs what is in it."""
     episodes: Count = 50
     """Episodes of each condition."""
     seed: Seed = FIRST_SEED
@@ -194,6 +197,7 @@ def _conditions(config: CompareConfig) -> ConditionsFile:
     for name in ("subset", "store", "figure", "curves"):
         if getattr(config, name):
             raise UserError(f"--{name} is about policies; leave it out, or --conditions")
+    trust(config.policies[0], config.trust)
     return compare_conditions(
         with_guard(with_wire(config.policies[0], config.wire), config.guard),
         config.conditions,

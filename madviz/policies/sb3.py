@@ -63,7 +63,8 @@ def load_sb3(policy: str) -> Sb3Policy:
         if each is not None and str(each.resolve()) not in _trusted():
             raise UserError(
                 f"{each.resolve()}: a file of Stable-Baselines3 runs code when it is loaded, and "
-                "this one is not trusted yet; if you trust its source, add --trust"
+                "this one is not trusted yet; if you trust its source, add --trust, or set "
+                f"{VARIABLE} to this path"
             )
     if not task:
         raise UserError(f"expected {PREFIX}FILE{AT}TASK, found no task; add {AT}metaworld/hammer")

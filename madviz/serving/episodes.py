@@ -21,6 +21,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from madviz.envs.checks import check_action
+from madviz.envs.registry import env_spec
 from madviz.guard.policy import GuardedPlayer
 from madviz.policies.players import player_of
 from madviz.recorded.description import RecordedCamera
@@ -44,6 +46,11 @@ class ServedEpisodes:
         self._robot = robot
         self._spec = policy.spec
         self._state_dim = state_dim
+        self._action_dim = (
+            len(robot.action_names)
+            if robot
+            else env_spec(policy.spec.task, policy.spec.render_profile).action_dim
+        )
         self._boxed = False
         self._frames: dict[str, list[Array]] = {}
         self._player: Player | None = None
@@ -82,7 +89,8 @@ class ServedEpisodes:
 
     def act(self, images: Any, state: Any, boxed: bool = False) -> Array:
         """(A,) float32. ``boxed``: the client has made every picture as in training, bars and all,
-        whatever a failing camera did to them then. Raises BadLook."""
+        whatever a failing camera did to them then. Raises BadLook, and UserError for an action
+        that is none."""
         self._boxed = boxed
         if self._player is None:
             self.begin()
@@ -106,6 +114,7 @@ class ServedEpisodes:
             stacks = [self._stack(stream, images.get(stream)) for stream in self._spec.streams]
             encoded = self._policy.encode(np.stack(stacks), self._state(state))
         action = np.asarray(self._player.act(encoded, mask), np.float32)
+        check_action(action, self._action_dim)
         return self._robot.actions.unscale(action) if self._robot else action
 
     @property

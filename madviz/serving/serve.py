@@ -17,6 +17,7 @@ A policy that learned from recordings (robot.json beside it) is served in its ro
 from __future__ import annotations
 
 import logging
+import socket
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
+from madviz.policies.sb3 import trust
 from madviz.recorded.robot import Robot, robot_document
 from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
@@ -68,6 +70,8 @@ class ServeConfig:
     guard: bool = False
     """A camera that the guard finds failing is left out until it works again; `madviz
     guard` fits it."""
+    trust: bool = False
+    """Loads the file of sb3:FILE@TASK, which runs what is in it."""
     token: bool = True
     """Whether clients beyond this machine need the token that is printed."""
     check: Path | None = None
@@ -147,6 +151,7 @@ class PolicyServer:
             return
         episodes = ServedEpisodes(self._policy, self._state_dim, self._robot)
         try:
+            _keep_alive(connection.socket)
             first = _first_words(connection)
             if first is None:
                 self._talk_openpi(connection, episodes)
@@ -208,7 +213,7 @@ class PolicyServer:
                 look = unpack(data)
                 if not isinstance(look, dict):
                     raise BadLook("expected a table, found something else")
-                images = {name: value for name, value in look.items() if self._shows(name, value)}
+                images = self._beside(look)
                 with self._computing, one_thread():
                     episodes.enter(look)
                     action = episodes.act(images, look.get("state"), look.get(BOXED) is True)
@@ -218,7 +223,25 @@ class PolicyServer:
                 return
             connection.send(pack({"actions": action[None]}, "openpi"))
 
-    def _shows(self, name: str, value: Any) -> bool:
+    def _beside(self, look: dict[str, Any]) -> dict[str, Any]:
+        """The pictures of ``look`` by name. Raises BadLook for some that lie deeper in it."""
+        images = {name: value for name, value in look.items() if self._shows(name, value)}
+        for name, value in look.items():
+            if name not in images and self._hides(value):
+                raise BadLook(
+                    f"expected pictures beside 'state', found them in {name!r:.60}; send each "
+                    f"under its own name: {', '.join(self._policy.spec.streams)}"
+                )
+        return images
+
+    def _hides(self, value: Any) -> bool:
+        """True for a table or a list with pictures in it, at any depth."""
+        inside = dict(enumerate(value)) if isinstance(value, list) else value
+        return isinstance(inside, dict) and any(
+            self._shows(name, each) or self._hides(each) for name, each in inside.items()
+        )
+
+    def _shows(self, name: str | int, value: Any) -> bool:
         """True for what a client means as a picture, also under a name that no camera has."""
         deep = isinstance(value, np.ndarray) and value.ndim >= 3
         return deep or name in self._policy.spec.streams
@@ -250,6 +273,14 @@ def _chosen(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Sub
     return OURS if OURS in offered else None
 
 
+def _keep_alive(line: socket.socket) -> None:
+    """Has the system hang up a client whose machine is gone without a word, after two minutes."""
+    line.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 20), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):  # Not on every platform.
+            line.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
 def _first_words(connection: ServerConnection) -> bytes | str | None:
     """The first message that a client sends by itself; None where it waits to be greeted."""
     if connection.subprotocol == OURS:
@@ -264,6 +295,7 @@ def run_serve(config: ServeConfig) -> None:
     """``madviz serve``: until Ctrl-C. Raises UserError for a policy or a place that won't do."""
     check_numbers(config)
     token = new_token() if config.token and not stays_here(config.host) else None
+    trust(config.policy, config.trust)
     policy = checkpoint.load_policy(with_guard(config.policy, config.guard))
     robot = checkpoint.robot_of_policy(config.policy)
     if config.check is not None:

@@ -25,6 +25,7 @@ from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, schedule_words
 from madviz.policies import checkpoint
 from madviz.policies.guarded import reference_to
+from madviz.policies.sb3 import trust
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
     STREAMS,
@@ -54,6 +55,8 @@ class ReplayConfig:
     """The files that the page's button saved, or `madviz record --keep`."""
     policy: tuple[str, ...] = ()
     """Folders or module:factory of policies in the file that are not found by their names."""
+    trust: bool = False
+    """Loads the files of --policy sb3:FILE@TASK, which runs what is in them."""
     episode: Count | None = None
     """One of its episodes, from 1; by default all."""
     json: str | None = None
@@ -95,6 +98,8 @@ def run_replay(config: ReplayConfig) -> ReplayResult:
     or task. ``same`` is whether all actions, rewards and successes are."""
     saved = read_session(config.file)
     chosen = saved.episodes if config.episode is None else (saved.episode(config.episode),)
+    for policy in config.policy:
+        trust(policy, config.trust)
     find = finder(config.policy)
     episodes = [replay_row(episode, saved, find) for episode in chosen]
     return {

@@ -147,7 +147,19 @@ def read_wiring(path: str | Path) -> Wiring:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise UserError(f"--wire {path}: expected a TOML file, found: {why}") from error
-    return checked(typed(document, Wiring, f"--wire {path}", "see docs/own-policy.md"), path)
+    wiring = typed(document, Wiring, f"--wire {path}", "see docs/own-policy.md")
+    return _with_rgb(checked(wiring, path))
+
+
+def _with_rgb(wiring: Wiring) -> Wiring:
+    """``wiring`` with ``first.rgb`` for ``first`` beside ``first.depth``: as a subset, ``first`` is
+    both."""
+    deep = {camera_of(stream) for stream in wiring.streams if stream.endswith(".depth")}
+    cameras = {
+        f"{name}.rgb" if name in deep and wiring.stream(name) == name else name: key
+        for name, key in wiring.cameras.items()
+    }
+    return msgspec.structs.replace(wiring, cameras=cameras)
 
 
 def checked(wiring: Wiring, where: str | Path) -> Wiring:
