@@ -27,6 +27,7 @@ from madviz.envs.registry import RenderProfile, TaskName, env_spec, make_env
 from madviz.errors import UserError
 from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
 from madviz.system.browser import find_browser
+from madviz.system.machine import cores
 from madviz.types import Environment
 
 PACKAGES = (
@@ -189,8 +190,7 @@ def describe_cpu(cpuinfo: str, cores: int) -> Check:
 
 def check_cpu() -> Check:
     path = Path("/proc/cpuinfo")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return describe_cpu(path.read_text() if path.exists() else "", cores or 1)
+    return describe_cpu(path.read_text() if path.exists() else "", cores())
 
 
 def time_frames(

@@ -15,8 +15,13 @@ import torch
 
 from madviz.errors import Interrupted
 from madviz.runs.run_folder import Event, RunFolder
-from madviz.training.config import TrainConfig
+from madviz.training.config import TrainConfig, identity, resolve
 from madviz.training.train import train
+
+
+def facts_of(config: TrainConfig) -> dict[str, Any]:
+    """The facts that a resumed run must share."""
+    return identity(config, resolve(config))
 
 
 def last_state(config: TrainConfig, listener: Any = None) -> dict[str, Any]:

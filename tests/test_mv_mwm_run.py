@@ -24,13 +24,13 @@ from madviz.runs.demonstrations import Dataset, Driver, record_episode
 from madviz.runs.drawn_task import newest_frames
 from madviz.subsets import every_mask
 from madviz.sweep.sweep import SweepConfig, run_sweep
-from madviz.training.config import RECIPES, TrainConfig, identity, resolve
+from madviz.training.config import RECIPES, TrainConfig, resolve
 from madviz.types import Array
 from madviz.world_model.learner import WorldLearner
 from madviz.world_model.mv_mwm_options import MvMwmConfig
 from madviz.world_model.recipe import beside, demonstrated
 from madviz.world_model.sizes import MvMwmOptions
-from tests.recipe_runs import assert_same_run, curve, last_state, stops_at
+from tests.recipe_runs import assert_same_run, curve, facts_of, last_state, stops_at
 from tests.test_merges import perturb
 
 STREAMS = tuple(camera.name for camera in CAMERAS)
@@ -116,8 +116,8 @@ def test_a_sweep_of_it_is_planned_without_training(tmp_path: Path) -> None:
 
 def test_the_number_of_processes_may_change() -> None:
     one, two = asked(), asked(config=replace(TINY, workers=7))
-    assert identity(one, ()) == identity(two, ())
-    assert identity(one, ()) != identity(asked(config=replace(TINY, ahead=3)), ())
+    assert facts_of(one) == facts_of(two)
+    assert facts_of(one) != facts_of(asked(config=replace(TINY, ahead=3)))
 
 
 # --- Batches ------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from madviz.policies.checkpoint import load_policy
 from madviz.policies.seeds import use_of
 from madviz.runs import reward_run
 from madviz.runs.recipe_options import SuiteNumbers
+from madviz.runs.reward_run import RewardRun
 from madviz.runs.run_folder import Event, RunFolder
 from madviz.training import paper
 from madviz.training.config import RECIPES, TrainConfig, resolve
@@ -209,6 +210,29 @@ def test_ctrl_c_abandons_an_evaluation(whole_run: Path, tmp_path: Path) -> None:
     assert len(asked) == 3 and not (tmp_path / "run" / "curve.csv").exists()
     run(tmp_path / "run", resume=True)
     assert_same(tmp_path / "run", whole_run)
+
+
+def test_an_evaluation_that_is_repeated_is_in_the_curve_once(
+    whole_run: Path, tmp_path: Path
+) -> None:
+    """Stopped in the first evaluation, then killed right after its row."""
+
+    def killed(event: Any) -> None:
+        if event["kind"] == "curve":
+            raise Killed
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RewardRun, "evaluate", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        run(tmp_path / "run")
+    with pytest.raises(Killed):
+        run(tmp_path / "run", resume=True, listener=killed)
+    run(tmp_path / "run", resume=True)
+    assert curve(tmp_path / "run") == curve(whole_run)
+
+
+def test_a_training_that_diverges_says_so(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="diverged: begin again with a smaller learning rate"):
+        run(tmp_path, replace(TINY, steps=60, exploration_steps=8, learning_rate=1e30))
 
 
 def test_another_configuration_is_not_resumed(whole_run: Path) -> None:

@@ -184,6 +184,15 @@ def test_trainings_that_meet_the_same_scenes_are_no_independent_episodes() -> No
     assert found.interval == pytest.approx(difference_interval(gaps))
 
 
+def test_a_policy_with_cameras_of_the_users_is_in_no_table_of_the_suites(tmp_path: Path) -> None:
+    write_policy(tmp_path, GOOD, seed=1)
+    path = write_policy(tmp_path, GOOD, seed=2, folder="mine")
+    config = json.loads((path / "config.json").read_text())
+    config["training"]["command"] = "madviz train --task metaworld/hammer --cameras mine.toml"
+    (path / "config.json").write_text(json.dumps(config))
+    assert table(tmp_path, "overall").rows[0][1].trainings == 1
+
+
 def test_only_trainings_of_one_budget_are_compared(tmp_path: Path) -> None:
     push: dict[str, Any] = {"task": "metaworld/push"}
     write_policy(tmp_path, rates(1, 1, 1, 1), **push, updates=15000, folder="long")

@@ -17,15 +17,18 @@ import pytest
 import torch
 
 from madviz import cli
+from madviz.envs.registry import SETTINGS
+from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.measure.evaluate import evaluate
 from madviz.policies.checkpoint import load_policy
 from madviz.runs.run_folder import Event, changes
 from madviz.runs.training_plan import TrainingPlan
-from madviz.training.config import TrainConfig, command, identity, resolve
+from madviz.training.config import RECIPES, TrainConfig, command, resolve
 from madviz.training.light import LightConfig
 from madviz.training.train import train
 from tests.plans import record_inline
+from tests.recipe_runs import facts_of
 
 TINY = LightConfig(
     rounds=2, demonstrations=2, episodes_per_round=4, updates_per_round=3, batch_size=4,
@@ -141,10 +144,11 @@ def test_an_interrupted_training_says_how_to_go_on(number: int, code: int, tmp_p
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     ) as training:
         assert training.stderr is not None
         assert training.stderr.readline().startswith("[curve]")
-        training.send_signal(number)
+        os.killpg(training.pid, number)  # To its workers, too, as a terminal or a service does.
         printed, said = training.communicate()
     assert training.returncode == code and printed == "" and "[done]" not in said
     last = said.splitlines()[-1]
@@ -257,33 +261,82 @@ def test_what_changes_only_time_or_room_may_change() -> None:
         out=Path("elsewhere"),
         resume=True,
     )
-    assert identity(config, ()) == identity(other, ())
+    assert facts_of(config) == facts_of(other)
     slower = replace(config, vectorised=replace(config.vectorised, update_ratio=0.25))
-    assert changes(identity(config, ()), identity(slower, ())) == [
-        "vectorised.update_ratio 0.5 -> 0.25"
-    ]
+    assert changes(facts_of(config), facts_of(slower)) == ["vectorised.update_ratio 0.5 -> 0.25"]
 
 
 def test_the_threads_of_the_learner_may_not_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8))
     light = TrainConfig("toy/reach")
-    assert identity(light, ()) == identity(replace(light, light=LightConfig(workers=3)), ())
-    assert identity(light, ()) == identity(replace(light, threads=1), ()), "what it takes anyway"
+    assert facts_of(light) == facts_of(replace(light, light=LightConfig(workers=3)))
+    assert facts_of(light) == facts_of(replace(light, threads=1)), "what it takes anyway"
     lanes = TrainConfig("toy/reach", recipe="paper-vectorised")
     fewer = replace(lanes, vectorised=replace(lanes.vectorised, workers=2))
-    assert changes(identity(lanes, ()), identity(fewer, ())) == ["threads_used 7 -> 6"]
-    older = {name: each for name, each in identity(lanes, ()).items() if name != "threads_used"}
-    assert changes({**older, "threads": None}, identity(fewer, ())) == []
+    assert changes(facts_of(lanes), facts_of(fewer)) == ["threads_used 7 -> 6"]
+    older = {name: each for name, each in facts_of(lanes).items() if name != "threads_used"}
+    assert changes({**older, "threads": None}, facts_of(fewer)) == []
+
+
+OWN: dict[str, Any] = {}
+
+
+def make_own() -> ToyReach:
+    env = ToyReach()
+    env.spec = replace(env.spec, **OWN)
+    return env
+
+
+def test_an_own_task_that_has_changed_is_another_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MADVIZ_TASKS", "")
+    config = TrainConfig("tests.test_train:make_own", light=TINY)
+    before = facts_of(config)
+    monkeypatch.setitem(OWN, "horizon", 30)
+    assert changes(before, facts_of(config)) == ["own_task.horizon 25 -> 30"]
+    assert {camera["name"] for camera in before["own_task"]["cameras"]} == set(
+        SETTINGS["three"].streams
+    )
+
+
+@pytest.mark.parametrize(
+    "error", [ConnectionRefusedError(111, "refused"), FileNotFoundError(2, "gone", "a.npz")]
+)
+def test_an_error_of_a_task_is_no_lack_of_room(
+    error: OSError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setitem(RECIPES, "light", replace(RECIPES["light"], train=fails))
+    with pytest.raises(type(error)):
+        train(TrainConfig("toy/reach", out=tmp_path / "run", light=TINY))
+
+
+@pytest.mark.parametrize(
+    ("drivers", "change"), [("all", {"focus": 0.5}), ("expert", {"share_decay": 0.9})]
+)
+def test_options_that_a_driver_leaves_without_effect_are_refused(
+    tmp_path: Path, drivers: str, change: dict[str, float]
+) -> None:
+    light = replace(TINY, drivers=drivers, **change)
+    with pytest.raises(UserError, match=f"light.drivers '{drivers}' without {next(iter(change))}"):
+        train(TrainConfig("toy/reach", out=tmp_path / "run", light=light))
+
+
+def test_cameras_of_a_setting_and_of_a_file_are_refused_together(tmp_path: Path) -> None:
+    config = TrainConfig("metaworld/hammer", setting="five", cameras=tmp_path / "mine.toml")
+    with pytest.raises(UserError, match="cameras of its own, found 'five'; leave one of them out"):
+        resolve(config)
 
 
 def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(8))
     config = TrainConfig()
     assert config.light.threads() == 1  # The recorder has another core.
     assert config.paper.threads() == 8
     assert replace(config.vectorised, workers=3).threads() == 5
     assert replace(config.mv_mwm, workers=9).threads() == 1
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(2))
     assert config.vectorised.processes() == 1 and config.vectorised.threads() == 2
 
 
@@ -294,7 +347,7 @@ def test_the_learner_takes_the_cores_that_are_left(monkeypatch: pytest.MonkeyPat
 def test_workers_are_few_beside_a_cpu_that_learns_and_many_beside_a_gpu(
     monkeypatch: pytest.MonkeyPatch, cores: int, on_cuda: bool, workers: int, threads: int
 ) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(cores))
     monkeypatch.setattr(torch.cuda, "is_available", lambda: on_cuda)
     for lanes in (TrainConfig().vectorised, TrainConfig().mv_mwm):
         assert lanes.environments == 8

@@ -184,6 +184,11 @@ def choose(
     own = custom.is_own(task) or is_recording(task)
     if file is None and not (own and setting(name).usual):
         return setting(name), setting_cameras(task, name)
+    if file and not setting(name).usual:
+        raise UserError(
+            f"expected --cameras without a setting that has cameras of its own, found {name!r}; "
+            "leave one of them out"
+        )
     cameras = read_cameras(file) if file else env_spec(task).cameras
     if is_recording(task) and "depth" in setting(name).modalities:
         raise UserError(f"expected a setting without depth for {task}, found {name!r}; pick three")

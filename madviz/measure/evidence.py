@@ -50,6 +50,11 @@ class Evidence:
         return self.config.training.command or ""
 
     @property
+    def own_cameras(self) -> bool:
+        """Whether it has cameras of the user's in place of its setting's."""
+        return "--cameras" in self.command.split()
+
+    @property
     def method(self) -> str:
         """The method, and its merge where that is not the usual one."""
         name = self.config.method

@@ -14,7 +14,6 @@ workers count no quick episodes in place of slow ones.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from itertools import takewhile
@@ -28,6 +27,7 @@ from madviz.measure.table import Table
 from madviz.measure.workers import Pool, Workers
 from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
+from madviz.system.machine import cores
 from madviz.types import PolicySpec
 
 NICENESS = 15
@@ -72,7 +72,7 @@ class Evaluator:
         make_workers: Callable[[int, int], Workers] = Workers,
     ) -> None:
         """``workers`` None leaves one core to the page. ``episodes`` is enough for a request."""
-        count = max((os.cpu_count() or 2) - 1, 1) if workers is None else workers
+        count = max(cores() - 1, 1) if workers is None else workers
         self._pool = Pool(make_workers(count, NICENESS), self._next_job, self._ended, self._tell)
         self._lock = self._pool.lock
         self._store = store

@@ -10,7 +10,6 @@ so that is all that is lost.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -24,6 +23,7 @@ from tqdm import tqdm
 from madviz.errors import UserError
 from madviz.measure.episodes import Finished, Job, Runner
 from madviz.measure.watched import carry_out
+from madviz.system.machine import cores
 from madviz.system.processes import set_up_worker
 
 GIVE_UP = 3
@@ -85,7 +85,7 @@ class Workers:
 
 def processes(workers: int | None) -> int:
     """How many processes ``workers`` asks for, by default one per core."""
-    return (os.cpu_count() or 1) if workers is None else workers
+    return cores() if workers is None else workers
 
 
 Ended = Callable[[Job, "Finished | BaseException"], None]

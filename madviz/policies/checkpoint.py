@@ -98,7 +98,7 @@ def save_policy(
         if not tensors[name].isfinite().all():
             raise UserError(
                 f"expected finite weights, found NaN or infinity in {name}; the training diverged: "
-                "continue from an earlier checkpoint with a smaller learning rate"
+                "begin again with a smaller learning rate"
             )
     folder.mkdir(parents=True, exist_ok=True)
     write_bytes(folder / WEIGHTS, save(tensors))

@@ -66,8 +66,9 @@ def page(
         "and its count of episodes n; a mean has n episodes of each subset. A row with one "
         "training has an interval over its episodes (Wilson): another training or another task "
         "would scatter more. A row with several trainings has one over trainings (Student's t, at "
-        "least as wide as the one over scenes, which all of them meet). It covers 93 of 100 times or more, except where "
-        "a rate is above 0.9 and trainings scatter by 0.1 or more: there about 80 of 100.",
+        "least as wide as the one over scenes, which all of them meet). It covers 93 of 100 times "
+        "or more, except where a rate is above 0.9 and trainings scatter by 0.1 or more: there "
+        "about 80 of 100.",
         "A *mean* is over the cameras of a row, an *average* is over tasks. For an average, each "
         "task counts with equally many trainings (lowest seeds first) and episodes: as many as the "
         "task with the fewest has. A difference is between two rows, on all episodes that both "

@@ -81,7 +81,8 @@ class ResultTable:
 
 def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
     """The tables of one layout, one for each suite with a task that has enough rows."""
-    chosen = [(label, policy) for policy in evidence if (label := layout.label(policy))]
+    suite = [policy for policy in evidence if not policy.own_cameras]
+    chosen = [(label, policy) for policy in suite if (label := layout.label(policy))]
     if layout.alphas != "all":
         usual = usual_alphas(evidence)
         others = [pair for pair in chosen if pair[1] not in usual]

@@ -41,6 +41,7 @@ from madviz.runs.buffer_storage import (
     PlainFrames,
 )
 from madviz.system.files import replacing
+from madviz.system.machine import free_memory
 from madviz.types import Array
 
 
@@ -374,8 +375,4 @@ def _free(spec: BufferSpec, folder: Path | None, device: str) -> int:
             folder = folder.absolute().parent
         disk = os.statvfs(folder)
         return disk.f_bavail * disk.f_frsize + old
-    meminfo = Path("/proc/meminfo")
-    if meminfo.exists():
-        fields = dict(line.split(":") for line in meminfo.read_text().splitlines())
-        return int(fields["MemAvailable"].split()[0]) * 1024
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return free_memory()

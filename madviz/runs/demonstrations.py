@@ -32,7 +32,7 @@ from madviz.observation.streams import StreamStack, stream_frame
 from madviz.runs.drawn_task import DrawnTask
 from madviz.subsets import camera_of, cameras_of
 from madviz.system.files import replacing
-from madviz.system.processes import set_up_worker
+from madviz.system.processes import set_up_worker_of_training
 from madviz.types import Array, Environment, KnowsPlaces, Policy
 
 COLUMNS = ("states", "actions", "labels", "rewards", "places")
@@ -218,7 +218,7 @@ class Recorder:
     def __init__(self, drawn_task: DrawnTask, workers: int) -> None:
         self._task = drawn_task
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(workers, mp_context=context, initializer=set_up_worker)
+        self._pool = ProcessPoolExecutor(workers, context, set_up_worker_of_training)
 
     def start(self, plan: list[tuple[Driver, int]]) -> list[Future[Episode]]:
         return [self._pool.submit(_record, self._task, d, s) for d, s in plan]

@@ -10,7 +10,6 @@ own (``vectorised``, ``world_model/recipe.py``).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from madviz.runs.reward_run import RewardRun
 from madviz.runs.run_folder import interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.runs.vector_envs import Board, VectorEnvs
+from madviz.system.machine import cores
 from madviz.system.numbers import Count, ThreadsOrNone, Weight
 from madviz.types import Array
 
@@ -49,15 +49,13 @@ class LanesConfig(RunConfig):
         CUDA device steps are what takes long."""
         if self.workers is not None:
             return self.workers
-        cores = os.cpu_count() or 1
-        spare = cores - 1 if self.torch_device() == "cuda" else cores // 8
+        spare = cores() - 1 if self.torch_device() == "cuda" else cores() // 8
         return min(self.environments, max(1, spare))
 
     def threads(self) -> int:
         """One for each core that no worker has. On two cores both: updates take far longer than
         steps there, so the one worker waits most of the time."""
-        cores = os.cpu_count() or 1
-        return cores if cores <= 2 else max(1, cores - self.processes())
+        return cores() if cores() <= 2 else max(1, cores() - self.processes())
 
 
 @contextmanager

@@ -9,7 +9,6 @@ its two suites (``SuiteNumbers``). Where an option says otherwise, the option co
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
@@ -17,6 +16,7 @@ import torch
 
 from madviz.agent.sizes import NetworkConfig
 from madviz.errors import UserError
+from madviz.system.machine import cores
 from madviz.system.numbers import CountOrNone, Share, Steps, Width
 from madviz.types import EnvSpec
 
@@ -39,7 +39,7 @@ class RecipeOptions(Protocol):
 
     def threads(self) -> int:
         """How many the learner takes where the user does not say: one for each core."""
-        return os.cpu_count() or 1
+        return cores()
 
 
 @dataclass(frozen=True)

@@ -126,8 +126,9 @@ class RewardRun(Generic[Learns, Options]):
                 setattr(self, key, state.get(key, getattr(self, key)))
             if not self.between_episodes:
                 repeat(self.episode_seeds, self.buffer.actions())
-        # The rows that were reported after that state will be reported again.
-        self.folder.truncate_curve("step", self.step if state else -1)
+        # The rows that were reported after that state will be reported again, its evaluation too.
+        reported = self.evaluated_step == self.step
+        self.folder.truncate_curve("step", self.step - (not reported) if state else -1)
         self._start_clock()
 
     def save_due(self, stopping: bool) -> bool:

@@ -197,6 +197,14 @@ def _append(file: Path, row: dict[str, Any]) -> None:
         raise
 
 
+def of_writing(error: OSError, folder: Path) -> bool:
+    """True for an error of writing a run's files, and not one of a task or an expert."""
+    place = folder.absolute()
+    names = [Path(one).absolute() for one in (error.filename, error.filename2) if one is not None]
+    ours = any(place in one.parents or one in (place, *place.parents) for one in names)
+    return ours or error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+
+
 def not_written(folder: Path, error: Exception) -> UserError:
     """The error where a run's files cannot be written, and what to do."""
     why = isinstance(error, OSError) and error.strerror or error

@@ -33,7 +33,7 @@ from madviz.measure.store import EpisodeResult
 from madviz.observation.streams import IMAGE_SIZE, channels_of, to_channels
 from madviz.runs.drawn_task import DrawnTask, newest_frames
 from madviz.subsets import camera_of, name_of
-from madviz.system.processes import set_up_worker
+from madviz.system.processes import set_up_worker_of_training
 from madviz.types import Array, Environment, TimeStep
 
 
@@ -273,7 +273,7 @@ def _work(
     connection: Connection, drawn_task: DrawnTask, board: Board, places: Sequence[int]
 ) -> None:
     """Runs in a worker process, until the other end of the connection is closed."""
-    set_up_worker()
+    set_up_worker_of_training()
     lanes: Lanes | None = None
     try:
         lanes = Lanes(drawn_task, board, places)

@@ -16,7 +16,6 @@ Backends differ only in where ``carry_out`` is called, so results are the same f
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
@@ -42,6 +41,7 @@ from madviz.sweep.run import (
     result_rows,
 )
 from madviz.sweep.sweep_plan import read_plan
+from madviz.system.machine import cores
 from madviz.system.numbers import Threads, check_numbers
 from madviz.system.signals import terminable
 from madviz.system.streams import say
@@ -87,7 +87,7 @@ class LocalBackend:
         self._out = out
         self._program = program
         self._stop = threading.Event()
-        self._workers = max((os.cpu_count() or 1) // jobs, 1)
+        self._workers = max(cores() // jobs, 1)
         self._pool = ThreadPoolExecutor(jobs)
         self._running: dict[Future[RunOutcome], Run] = {}
 
@@ -145,7 +145,7 @@ def _backend(config: SweepConfig, out: Path, program: Sequence[str]) -> LocalBac
         from madviz.sweep.ray import RayBackend
 
         return RayBackend(out, config.jobs, config.address, config.cpus, program)
-    return LocalBackend(out, config.jobs or max((os.cpu_count() or 1) // 2, 1), program)
+    return LocalBackend(out, config.jobs or max(cores() // 2, 1), program)
 
 
 def carry_all_out(

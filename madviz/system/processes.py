@@ -44,6 +44,13 @@ def set_up_worker(niceness: int = 0) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
+def set_up_worker_of_training() -> None:
+    """``set_up_worker``, with SIGTERM left to the parent, too: a service or a batch system sends it
+    to all processes, and the training first finishes and saves what its workers are at."""
+    set_up_worker()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
 def family(pid: int) -> list[int]:
     """``pid`` and all processes under it that live; without /proc, ``pid`` alone."""
     found = [pid]

@@ -8,7 +8,6 @@ The fields of ``TrainConfig`` are the table of recipes: one line with a recipe's
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from typing import Annotated, Any, Literal, get_args, get_type_hints
 from madviz.agent.merges.merge_table import MERGES, own_options
 from madviz.agent.methods import METHODS, Method, method
 from madviz.agent.sizes import NetworkConfig, OwnOptions
-from madviz.envs.custom import allow_task
+from madviz.envs.custom import allow_task, is_own
 from madviz.envs.registry import SETTINGS, RenderProfile, TaskName, choose
 from madviz.errors import UserError, unknown
 from madviz.recorded.known import allow_recording, is_recording, recordings_of
@@ -29,13 +28,14 @@ from madviz.runs.recipe_options import RecipeOptions
 from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import camera_of
+from madviz.system.machine import cores
 from madviz.system.numbers import Seed, Threads
 from madviz.system.options import OneOf, Only, changed, words_for
 from madviz.training.light_options import LightConfig
 from madviz.training.paper import PaperConfig, train_paper
 from madviz.training.recorded import imitate
 from madviz.training.vectorised import VectorisedConfig, train_vectorised
-from madviz.types import CameraSpec, EnvSpec, PolicySpec
+from madviz.types import EnvSpec, PolicySpec
 from madviz.world_model.mv_mwm_options import MvMwmConfig
 from madviz.world_model.recipe import train_mv_mwm
 from madviz.world_model.sizes import AutoencoderConfig
@@ -266,7 +266,7 @@ def _state_columns(config: TrainConfig, facts: EnvSpec) -> tuple[int, ...]:
 def learner_threads(config: TrainConfig) -> int:
     """As asked for, or else as many as the recipe takes on this machine."""
     # Nothing records beside a training on recordings.
-    recorded = os.cpu_count() if is_recording(config.task) else None
+    recorded = cores() if is_recording(config.task) else None
     return config.threads or recorded or options_of(config).threads()
 
 
@@ -294,11 +294,15 @@ def _name(config: TrainConfig, chosen: Method, camera: str) -> str:
     return "-".join([*parts, config.recipe])
 
 
-def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, Any]:
+OWN_FACTS = ("cameras", "state_dim", "action_dim", "horizon", "action_repeat")
+"""Fields of an own task's ``EnvSpec`` that a run depends on."""
+
+
+def identity(config: TrainConfig, plan: TrainingPlan) -> dict[str, Any]:
     """The facts that a resumed run must share: all but where it is, options that only change
-    its time or room, and other recipes' options. Of the user's cameras, ``drawn``, it is what the
-    file says that counts, not where the file is; of the threads, how many they are, not who said
-    so."""
+    its time or room, and other recipes' options. Of the user's cameras it is what the file says
+    that counts, not where the file is; of an own task, its cameras and sizes as they are now; of
+    the threads, how many they are, not who said so."""
     facts = asdict(replace(config, out=None, resume=False, cameras=None, recording=None))
     # Another key than the option's: older runs have that one, None where nobody said a number.
     del facts["threads"]
@@ -308,7 +312,10 @@ def identity(config: TrainConfig, drawn: tuple[CameraSpec, ...]) -> dict[str, An
             del facts[recipe.options]
     for option in options_of(config).ONLY_TIME:
         del facts[RECIPES[config.recipe].options][option]
-    facts["cameras"] = [asdict(camera) for camera in drawn] if config.cameras else None
+    drawn = plan.drawn_task.cameras if config.cameras else None
+    facts["cameras"] = drawn and [asdict(camera) for camera in drawn]
+    if is_own(config.task):
+        facts["own_task"] = {name: asdict(plan.env)[name] for name in OWN_FACTS}
     if is_recording(config.task):
         found = recordings_of(config.task)
         facts["recorded"] = [[one.index, one.length] for one in found.episodes]

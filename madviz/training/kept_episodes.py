@@ -38,9 +38,7 @@ class KeptEpisodes:
         """Raises UserError for options that only recording has, and for a folder without episodes,
         of another environment, without one of the streams, or with fewer rounds."""
         run = Path(config.episodes)
-        standard = LightConfig()
-        asked = [name for name in RECORDING if getattr(config, name) != getattr(standard, name)]
-        if asked:
+        if asked := config.asked(RECORDING):
             raise UserError(
                 f"expected light.episodes without options of recording, found {', '.join(asked)}; "
                 "leave them out: these episodes are recorded already"

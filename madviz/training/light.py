@@ -39,6 +39,7 @@ from madviz.agent.agent import TorchPolicy, autocast
 from madviz.agent.augment import random_shift
 from madviz.agent.networks import read_state
 from madviz.agent.update import generator_state, restore_generator
+from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.policies.seeds import training_seed
 from madviz.runs.demonstrations import Dataset, Driver, Episode, Recorder
@@ -52,6 +53,7 @@ from madviz.training.light_losses import PlacesHead as PlacesHead
 from madviz.training.light_losses import check_places, mean_and_std
 from madviz.training.light_losses import imitation_loss as imitation_loss
 from madviz.training.light_losses import row_errors as row_errors
+from madviz.training.light_options import OF_DRIVERS
 from madviz.training.light_options import LightConfig as LightConfig
 from madviz.types import Array
 
@@ -93,6 +95,11 @@ class LightRun:
         self.seconds = 0.0
         self._episodes = folder / FOLDER
         self._kept = KeptEpisodes(plan, config) if config.episodes else None
+        if asked := config.asked(OF_DRIVERS.get(config.drivers, ())):
+            raise UserError(
+                f"expected light.drivers {config.drivers!r} without {', '.join(asked)}, which has "
+                "no effect beside it; leave it out"
+            )
 
     def drivers(self, round_index: int) -> list[tuple[Driver, int]]:
         """The driver of each seed in a round: the trained subsets in turn, round 0 the expert. None

@@ -6,6 +6,7 @@ options below, which are off. What else was tried is in ``results/archive/tried.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,6 +35,8 @@ RECORDING = (
     "keep_episodes",
 )
 """Options that have no effect where episodes are recorded already."""
+OF_DRIVERS = {"all": ("focus",), "expert": ("focus", "expert_share", "share_decay")}
+"""By ``drivers``, the options that have no effect beside it."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,11 @@ class LightConfig(RecipeOptions):
     """Recording processes."""
 
     ONLY_TIME = ("workers",)
+
+    def asked(self, names: Sequence[str]) -> list[str]:
+        """Those of the options ``names`` that are not at their default."""
+        standard = LightConfig()
+        return [name for name in names if getattr(self, name) != getattr(standard, name)]
 
     @property
     def all_rounds(self) -> int:

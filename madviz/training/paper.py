@@ -25,6 +25,7 @@ from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.augment import random_shift
 from madviz.agent.sizes import NetworkConfig
 from madviz.agent.update import Learner, LearningConfig
+from madviz.errors import UserError
 from madviz.measure.episodes import one_thread, run_episode
 from madviz.measure.store import EpisodeResult
 from madviz.observation.ablation import Ablation
@@ -136,7 +137,13 @@ def act(run: RewardRun[Learner, Reinforcement]) -> Array:
     views, state = run.buffer.newest()  # (L, V, C, H, W), (L, S)
     if run.config.shift_when_acting:
         views = random_shift(views, run.rng, run.config.same_shift_for_views)
-    return run.learner.act_all(views, state)
+    action = run.learner.act_all(views, state)
+    if not np.isfinite(action).all():
+        raise UserError(
+            f"expected finite actions, found NaN or infinity after {run.updates} updates; the "
+            "training diverged: begin again with a smaller learning rate"
+        )
+    return action
 
 
 def evaluated(run: RewardRun[Learner, Reinforcement]) -> TorchPolicy:

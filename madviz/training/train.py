@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 
 from madviz.errors import Interrupted, signal_of
-from madviz.runs.run_folder import Event, RunFolder, alone_in, not_written
+from madviz.runs.run_folder import Event, RunFolder, alone_in, not_written, of_writing
 from madviz.runs.training_plan import TrainingPlan
 from madviz.system.numbers import check_numbers
 from madviz.system.processes import reuse_large_blocks
@@ -54,12 +54,14 @@ def _train(config: TrainConfig, listener: Callable[[Event], None] | None) -> Pat
     reuse_large_blocks()
     torch.set_num_threads(learner_threads(config))
     out = config.out or Path("runs") / plan.spec.name
-    facts = identity(config, plan.drawn_task.cameras)
+    facts = identity(config, plan)
     try:
         with alone_in(out):
             folder = RunFolder(out, facts, config.resume, listener or print_event)
             _work(config, plan, folder)
     except OSError as error:
+        if not of_writing(error, out):
+            raise
         raise not_written(out, error) from error
     return folder.path
 
