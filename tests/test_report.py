@@ -186,6 +186,7 @@ def test_trainings_that_meet_the_same_scenes_are_no_independent_episodes() -> No
 
 def test_a_policy_with_cameras_of_the_users_is_in_no_table_of_the_suites(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD, seed=1)
+    write_policy(tmp_path, GOOD, method="naive-both")
     path = write_policy(tmp_path, GOOD, seed=2, folder="mine")
     config = json.loads((path / "config.json").read_text())
     config["training"]["command"] = "madviz train --task metaworld/hammer --cameras mine.toml"
