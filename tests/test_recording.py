@@ -11,6 +11,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import av
 import cv2
@@ -28,7 +29,9 @@ from madviz.recording.record import Facts, RecordConfig, command_of, frames, run
 from madviz.recording.rerun import ASPECT, FOV
 from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
+from madviz.session.replay import policy_words
 from madviz.session.session import Session
+from madviz.session.session_file import SavedCommand, SavedEpisode, SavedPolicy
 from madviz.session.session_reader import read_session
 from madviz.types import View
 from tests.fakes import FakePolicy, NanPolicy, policies
@@ -248,6 +251,31 @@ def test_a_report_needs_nothing_else(tmp_path: Path) -> None:
         assert words in page.text
     assert text.count("<title>step ") == 5 * 3  # Three changes, five curves.
     assert len(page.links) >= 11
+
+
+def test_a_policy_that_is_swapped_in_has_its_own_name_and_curves(tmp_path: Path) -> None:
+    episode = [*frames_of(10), *frames_of(None, "toy-rgbd")[11:]]
+    facts = replace(FACTS, policies="toy-mad until step 11, then toy-rgbd")
+    for name in ("x.rrd", "x.html"):
+        writer = writer_for(tmp_path / name, facts)
+        for frame in episode:
+            writer.add(frame)
+        writer.close()
+    read = columns(tmp_path / "x.rrd")
+    assert sorted(read["/mask"]) == list(range(11)) and len(read["/mask"][0]) == 3
+    assert sorted(read["/mask/toy-rgbd"]) == list(range(11, 26))
+    assert len(read["/features/norm/toy-rgbd"][11]) == 7
+    text = (tmp_path / "x.html").read_text()
+    assert "<h1>toy-mad until step 11, then toy-rgbd, seed 3</h1>" in text
+    assert "step 11: the policy becomes toy-rgbd" in text and "cameras or policy changed" in text
+
+
+def test_a_saved_session_says_which_policies_acted() -> None:
+    swap = SavedCommand(10, SavedPolicy("b", ""))
+    episode = SimpleNamespace(policy=SavedPolicy("a", ""), commands=[swap])
+    assert policy_words(cast(SavedEpisode, episode)) == "a until step 10, then b"
+    episode.commands = []
+    assert policy_words(cast(SavedEpisode, episode)) == ""
 
 
 def test_an_unfinished_episode_is_called_so(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ class Facts:
     """Decisions in a second of film."""
     tile: int = 252
     """Pixels that a camera's picture is wide in a film."""
+    policies: str = ""
+    """Those that acted, and from which step on, where they are several."""
 
 
 class Writer(Protocol):
@@ -39,7 +41,8 @@ class Writer(Protocol):
 def headline(frame: Frame, facts: Facts) -> str:
     """Policy, task, seed and failures in one line."""
     failing = f" · fails: {', '.join(facts.failures)}" if facts.failures else ""
-    return f"{frame.world.policy.name} · {frame.world.env.task} · seed {frame.world.seed}{failing}"
+    who = facts.policies or frame.world.policy.name
+    return f"{who} · {frame.world.env.task} · seed {frame.world.seed}{failing}"
 
 
 def condition_words(frame: Frame) -> str:

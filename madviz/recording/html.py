@@ -55,7 +55,7 @@ class HtmlWriter:
     def add(self, frame: Frame) -> None:
         world = frame.world
         if self._last is not None and _changed(self._last, frame):
-            self._marks[world.step] = condition_words(frame)
+            self._marks[world.step] = _change(self._last, frame)
         every = max(world.env.horizon // PICTURES, 1)
         marked = world.step in self._marks and len(self._marks) <= MOST_MARKED
         if marked or world.step % every == 0 or frame.ended:
@@ -78,7 +78,7 @@ class HtmlWriter:
         self._numbers.setdefault(name, []).append(np.asarray(numbers, float))
 
     def _html(self, last: Frame) -> str:
-        title = f"{last.world.policy.name}, seed {last.world.seed}"
+        title = f"{self._facts.policies or last.world.policy.name}, seed {last.world.seed}"
         policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         body = [
             f"<h1>{escape(title)}</h1>",
@@ -101,7 +101,7 @@ class HtmlWriter:
         for step, picture in self._pictures.items():
             words = f"step {step}"
             if step in self._marks:
-                words += f": cameras become {self._marks[step]}"
+                words += f": {self._marks[step]}"
             style = ' class="marked"' if step in self._marks else ""
             figures.append(
                 f'<figure{style}><img alt="all cameras at step {step}" '
@@ -133,7 +133,8 @@ class HtmlWriter:
             ("Action", self._series("action", hands)),
             ("Reward", self._series("reward", ["reward"])),
         ]
-        note = "<p>Dashed lines: the cameras changed there.</p>" if self._marks else ""
+        what = "cameras or policy" if self._facts.policies else "the cameras"
+        note = f"<p>Dashed lines: {what} changed there.</p>" if self._marks else ""
         return note + "".join(curves(t, s, colours, self._marks, end) for t, s in panels)
 
     def _series(self, name: str, names: list[str]) -> dict[str, list[float]]:
@@ -148,6 +149,13 @@ class HtmlWriter:
 
 def _changed(before: Frame, now: Frame) -> bool:
     return (before.condition, before.world.policy.name) != (now.condition, now.world.policy.name)
+
+
+def _change(before: Frame, now: Frame) -> str:
+    """The change in words."""
+    if before.world.policy.name != now.world.policy.name:
+        return f"the policy becomes {now.world.policy.name}"
+    return f"cameras become {condition_words(now)}"
 
 
 def _outcome(last: Frame) -> str:
@@ -167,6 +175,7 @@ def _outcome(last: Frame) -> str:
 def _facts(last: Frame, facts: Facts) -> str:
     spec = last.world.policy
     rows = {
+        "policies": facts.policies,
         "policy": f"{spec.name} (method {spec.method}, setting {spec.setting}, recipe "
         f"{spec.recipe})",
         "digest": spec.digest or "none",
@@ -177,5 +186,5 @@ def _facts(last: Frame, facts: Facts) -> str:
         "failures": ", ".join(facts.failures) or "none",
         "drawn with": f"the {spec.render_profile} render profile",
     }
-    cells = (f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in rows.items())
+    cells = (f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in rows.items() if v)
     return f"<table>{''.join(cells)}</table>"

@@ -46,7 +46,7 @@ from madviz.recording.facts import Facts, Writer
 from madviz.recording.frames import frames, session_of
 from madviz.session.commands import SetSchedule
 from madviz.session.frame import Frame
-from madviz.session.replay import comes_out_same, failure_words, finder
+from madviz.session.replay import comes_out_same, failure_words, finder, policy_words
 from madviz.session.session_reader import read_session
 from madviz.system.files import replacing, written_to
 from madviz.system.numbers import Count, Range, Seed, Share, check_numbers
@@ -222,7 +222,8 @@ def run_record(config: RecordConfig) -> dict[str, Any]:
         schedule = _schedule(config, env.spec)
         session.send(SetSchedule(schedule))
         failures = failure_words(script) if script else schedule_words(schedule)
-        facts = Facts(command_of(config), tuple(failures), config.fps, config.tile)
+        policies = policy_words(script) if script else ""
+        facts = Facts(command_of(config), tuple(failures), config.fps, config.tile, policies)
         steps = script.steps if script else config.steps
         last, size = write_all(config.out, facts, frames(session, steps))
     if config.keep is not None:

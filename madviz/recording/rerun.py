@@ -48,10 +48,18 @@ class RerunWriter:
         self._facts = facts
         self._stream = rr.RecordingStream("madviz", batcher_config=BATCHES)
         self._begun = False
+        self._policy = ""
+        self._under = ""
+        """Where the curves of features are: a policy that is swapped in has other streams, and so
+        curves with names of their own."""
 
     def add(self, frame: Frame) -> None:
         if not self._begun:
             self._begin(frame)
+        if frame.world.policy.name != self._policy:
+            self._under = f"/{frame.world.policy.name}" if self._policy else ""
+            self._policy = frame.world.policy.name
+            self._streams(frame)
         self._stream.set_time("step", sequence=frame.world.step)
         for camera in frame.world.env.cameras:
             self._camera(frame, camera.name)
@@ -79,12 +87,6 @@ class RerunWriter:
         stream.send_recording_name(headline(frame, self._facts))
         stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("about", rr.TextDocument(about(frame, self._facts)), static=True)
-        colours = camera_colours(frame.world.env.cameras)
-        streams = [rgb(colours[camera_of(name)]) for name in frame.world.policy.streams]
-        names = list(frame.world.policy.streams)
-        self._series("features/norm", [*names, "merged"], [*streams, NEUTRAL])
-        self._series("features/cosine", names, streams)
-        self._series("mask", names, streams)
         hands = [f"action {index}" for index in range(frame.world.env.action_dim)]
         self._series("action", hands, [OTHERS[i % len(OTHERS)] for i in range(len(hands))])
         for index, name in enumerate(("value/q", "reward", "success")):
@@ -98,6 +100,15 @@ class RerunWriter:
                 )
                 stream.log(f"world/bodies/{index}/{number}", mesh, static=True)
         self._begun = True
+
+    def _streams(self, frame: Frame) -> None:
+        """Names and colours of the curves of each stream of the policy that acts now."""
+        colours = camera_colours(frame.world.env.cameras)
+        streams = [rgb(colours[camera_of(name)]) for name in frame.world.policy.streams]
+        names = list(frame.world.policy.streams)
+        self._series(f"features/norm{self._under}", [*names, "merged"], [*streams, NEUTRAL])
+        self._series(f"features/cosine{self._under}", names, streams)
+        self._series(f"mask{self._under}", names, streams)
 
     def _series(self, path: str, names: list[str], colours: list[tuple[int, int, int]]) -> None:
         self._stream.log(path, rr.SeriesLines(names=names, colors=colours), static=True)
@@ -134,9 +145,9 @@ class RerunWriter:
         probe = frame.world.probe
         row = frame.row
         values = {
-            "features/norm": [*probe.norms, probe.merged_norm(row)],
-            "features/cosine": probe.cosines(row),
-            "mask": frame.mask.astype(float),
+            f"features/norm{self._under}": [*probe.norms, probe.merged_norm(row)],
+            f"features/cosine{self._under}": probe.cosines(row),
+            f"mask{self._under}": frame.mask.astype(float),
             "action": frame.action,
             "value/q": [frame.q],
             "reward": [frame.world.reward],
@@ -188,7 +199,8 @@ def about(frame: Frame, facts: Facts) -> str:
     failing = ", ".join(facts.failures) or "none"
     return "\n\n".join(
         [
-            f"{frame.world.policy.name} on {frame.world.env.task}, seed {frame.world.seed}.",
+            f"{facts.policies or frame.world.policy.name} on {frame.world.env.task}, "
+            f"seed {frame.world.seed}.",
             f"Success: {frame.world.env.success}, at the last step.",
             f"Cameras that fail: {failing}.",
             f"Made with: {facts.command}",

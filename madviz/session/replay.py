@@ -272,6 +272,13 @@ def _verdict(row: ReplayRow) -> str:
     return f"{' and '.join(different)} DIFFER{start}: {'; '.join(row['reasons'])}"
 
 
+def policy_words(episode: SavedEpisode) -> str:
+    """``A until step 10, then B``; '' where one policy acted all the time."""
+    swaps = [one for one in episode.commands if isinstance(one.command, SavedPolicy)]
+    words = [f" until step {one.step}, then {one.command.name}" for one in swaps]
+    return "".join([episode.policy.name, *words]) if words else ""
+
+
 def failure_words(episode: SavedEpisode) -> list[str]:
     """The failures of cameras, in the language of schedules, for a caption; moves have no words
     in it."""

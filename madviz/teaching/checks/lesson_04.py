@@ -21,6 +21,8 @@ def paired(best: Any, worst: Any) -> None:
     for name, found in (("best", best), ("worst", worst)):
         expect(isinstance(found, Paired), f"expected {name} to be a Paired, found {found!r:.60}")
         expect(found.n == 10, f"{name} has {found.n} episodes, not 10")
+        counts = (found.both, found.first_only, found.second_only, found.neither)
+        expect(min(counts) >= 0, f"{name} has fewer than 0 episodes of a kind")
         expect(found.both + found.first_only == 9, f"in {name} A does not solve 9")
         expect(found.both + found.second_only == 7, f"in {name} B does not solve 7")
     expect(best != worst, "best and worst are the same case")
@@ -77,8 +79,10 @@ def _finds_frozen(test: Any) -> None:
     other[40, 40, 1] += 1
     hand = np.array([0.1, 0.6, 0.2], np.float32)
     moved = hand + np.float32(0.01)
-    found = _answer(test, picture, picture.copy(), moved, hand)
-    expect(found, "it misses a camera whose picture is the same while the hand moved by 1 cm")
+    for axis in np.eye(3, dtype=np.float32):
+        found = _answer(test, picture, picture.copy(), hand + 0.01 * axis, hand)
+        words = "it misses a camera whose picture is the same while the hand moved by 1 cm"
+        expect(found, f"{words} along {'xyz'[int(axis.argmax())]} alone")
     expect(
         not _answer(test, other, picture, moved, hand),
         "it raises an alarm where one pixel of the picture has changed",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Integral
 from typing import Any
 
-from madviz.teaching.checks.exercise import Blank, blank, call, exercise, expect, number
+from madviz.teaching.checks.exercise import Blank, blank, call, exercise, expect
 
 PARTS = ("question", "conditions", "episodes", "first_seed", "expect", "wrong_if")
 LIVE_SEEDS = range(2000, 3000)
@@ -37,10 +38,14 @@ def plan(plan: Any) -> None:
         expect(len(str(plan[part]).split()) >= WORDS, f"{part} has to be a sentence")
     conditions = plan["conditions"]
     _conditions(conditions)
-    _size(number(plan["episodes"], "a number of episodes"), len(conditions))
-    seed = number(plan["first_seed"], "a seed")
+    for part in ("episodes", "first_seed"):
+        found = plan[part]
+        expect(isinstance(found, Integral), f"expected a whole number for {part}, found {found!r}")
+    _size(plan["episodes"], len(conditions))
+    seed = plan["first_seed"]
     words = f"seeds of the live page are {LIVE_SEEDS.start} to {LIVE_SEEDS.stop - 1}"
-    expect(seed in LIVE_SEEDS, f"{words}; others are used for training and for reports")
+    every = seed in LIVE_SEEDS and seed + plan["episodes"] - 1 in LIVE_SEEDS
+    expect(every, f"{words}; others are used for training and for reports")
     _expectations(plan["expect"], conditions)
 
 
