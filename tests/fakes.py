@@ -73,6 +73,17 @@ class AllOrNothing(FakePolicy):
         return bool(np.all(mask))
 
 
+class Silent(FakePolicy):
+    """Gives no answer while it is ``silent``, as a policy in another program may."""
+
+    silent = False
+
+    def read(self, encoded: Encoded, masks: Array) -> Readout:
+        if self.silent:
+            raise UserError("expected an answer of the policy, found none; press play")
+        return super().read(encoded, masks)
+
+
 def policies(name: str) -> FakePolicy:
     """A ``load_policy`` that knows four fakes."""
     table = {

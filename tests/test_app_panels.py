@@ -219,6 +219,16 @@ def test_an_episode_ends_in_words_and_a_guess_counts_for_one(server):
     panel.remove()
 
 
+def test_nothing_goes_on_by_itself_after_an_end_in_a_pause(server):
+    session, gui, _, panel = asking(server)
+    session.ask(SetCamera("first", OFF))
+    apply(panel.update(session.steps(25)))
+    assert "The next one soon" in gui.html
+    apply(panel.update(session.ask(Pause())))
+    assert "mv-ending" in gui.html and "The next one soon" not in gui.html
+    panel.remove()
+
+
 def test_a_guess_on_a_later_episode_waits_for_it(server):
     session, gui, prediction, panel = asking(server)
     session.ask(Compare("toy-other"))

@@ -39,7 +39,15 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.policies.checkpoint import load_policy
 from madviz.recording.facts import condition_words
-from madviz.session.commands import Compare, Pause, ReadSubsets, SetCamera, SetPolicy, SetSaliency
+from madviz.session.commands import (
+    Compare,
+    Link,
+    Pause,
+    ReadSubsets,
+    SetCamera,
+    SetPolicy,
+    SetSaliency,
+)
 from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import FakePolicy, policies
@@ -350,3 +358,14 @@ def test_words_say_what_came_of_it_on_both_sides():
     said = both_sides(frame.world.change, frame, rates)
     assert said.startswith("Third A dropped: A's action changed by ")
     assert "; B's action changed by " in said
+
+
+def test_an_old_change_of_b_is_not_reported_as_this_one():
+    commands = (SetCamera("first", OFF), Link(False), SetCamera("first", CameraState("rgb")))
+    frame = frame_with(Compare("toy-other"), *commands)
+    assert frame.world.change is not None
+    said = both_sides(frame.world.change, frame, SuccessRates())
+    assert said.startswith("First person is back: action changed by ")
+    back = frame_with(Compare("toy-other"), *commands, SetCamera("first", OFF))
+    assert back.world.change is not None
+    assert "B's" not in both_sides(back.world.change, back, SuccessRates())

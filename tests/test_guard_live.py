@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from madviz.app.panel import apply
+from madviz.app.panels.comparison import ComparisonPanel
 from madviz.app.panels.guard import GuardPanel, no_guard
+from madviz.app.panels.policy import PolicyChoice
 from madviz.app.panels.success import bars_html
 from madviz.app.panels.words import WordsPanel
 from madviz.app.success_rates import SuccessRates
@@ -223,3 +225,27 @@ def test_without_values_the_switch_names_the_command(server) -> None:
     assert gui.find("Guard", 1).disabled
     watched.remove()
     panel.remove()
+
+
+def test_b_gets_the_guard_that_a_has(session: Recorder, server, monkeypatch) -> None:
+    fitted = [True, False]
+    monkeypatch.setattr("madviz.app.panels.comparison.has_guard", lambda _: fitted.pop(0))
+    sent: list = []
+    gui = recorded(server.gui)
+    choices = [PolicyChoice(NAME, NAME, "toy/reach")]
+    panel = ComparisonPanel(gui, sent.append, session.frames[-1], choices)
+    use(gui.find("start B"))
+    apply(panel.update(session.ask(SetPolicy(GUARDED))))
+    use(gui.find("start B"))
+    use(gui.find("start B"))  # Nobody has fitted its guard.
+    assert [one.policy for one in sent] == [NAME, GUARDED, NAME]
+    panel.remove()
+
+
+def test_the_bars_say_which_side_has_the_guard(session: Recorder) -> None:
+    frame = session.ask(SetPolicy(GUARDED), Compare(NAME))
+    assert "no guard" in bars_html(frame, SuccessRates())
+    both = session.ask(Compare(GUARDED))
+    assert "no guard" not in bars_html(both, SuccessRates())
+    only_b = bars_html(session.ask(SetPolicy(NAME)), SuccessRates())
+    assert only_b.index("<b>A</b>") < only_b.index(">with guard<") < only_b.index("<b>B</b>")

@@ -9,7 +9,9 @@ import pytest
 
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.schedule import Event
 from madviz.session.commands import (
+    Command,
     Compare,
     Pause,
     Play,
@@ -17,6 +19,7 @@ from madviz.session.commands import (
     SetAutoNext,
     SetCamera,
     SetPolicy,
+    SetSchedule,
     SetSeed,
     SetSpeed,
     StepOnce,
@@ -325,3 +328,34 @@ def test_a_decision_that_is_refused_leaves_no_condition():
     session.ask(SetCamera("first", CameraState("rgb")), Play())
     (outcome,) = session.steps(22).world.outcomes
     assert outcome.condition is not None and outcome.condition.subset == "all"
+
+
+def test_a_switch_before_another_command_is_not_lost(session: Recorder):
+    """Two states of one camera, with a decision between."""
+    session.ask(Pause())
+    session.ask(SetCamera("first", OFF), StepOnce(), SetCamera("first", CameraState("rgb")))
+    commands = session.save().episodes[-1].commands
+    assert [(one.step, one.command) for one in commands] == [
+        (0, SetCamera("first", OFF)),
+        (1, SetCamera("first", CameraState("rgb"))),
+    ]
+
+
+def test_in_mid_step_no_camera_overtakes_what_comes_before_it():
+    class Slow(ToyReach):
+        def view(self, camera, size=None):
+            while waiting:
+                session.send(waiting.pop(0))
+            return super().view(camera, size)
+
+    waiting: list[Command] = []
+    session = Recorder(env_factory=lambda *_: Slow())
+    session.at(0.0)
+    session.ask(SetSchedule((Event(0, "first", dropped=True),)))
+    waiting += [SetSpeed(5.0), SetCamera("third_a", OFF)]
+    waiting += [SetSchedule(()), SetCamera("first", BLACK)]
+    arrived = session.steps(1)
+    assert arrived.condition.subset == "third_b"
+    session.tick(session.time)
+    after = session.frames[-1]
+    assert after.schedule == () and after.camera("first") == BLACK

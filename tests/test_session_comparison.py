@@ -16,7 +16,8 @@ from madviz.observation.schedule import Event
 from madviz.session.commands import Compare, Link, Play, Scrub, SetCamera, SetPolicy, SetSchedule
 from madviz.session.comparison import tally
 from madviz.session.frame import Outcome, Pair
-from tests.fakes import FakePolicy, policies
+from tests.fakes import AllOrNothing, FakePolicy, Silent, policies
+from tests.sessions import Recorder
 from tests.test_timeline import Played
 
 OFF = CameraState("off")
@@ -211,3 +212,33 @@ def test_a_camera_touched_while_a_step_is_drawn_is_touched_on_both_sides() -> No
     frame = play(1)
     assert frame.second is not None and frame.world.step == frame.second.world.step == 3
     assert frame.condition.subset == frame.second.condition.subset == "third_a+third_b"
+
+
+def test_where_b_cannot_act_a_waits_for_it() -> None:
+    play = Played(load=AllOrNothing)
+    play(Compare("toy-stack"), SetSchedule((Event(3, "first", dropped=True),)), 4)
+    for _ in range(3):
+        frame = play(Play())
+        assert frame.second is not None and "cannot act" in frame.pace.error
+        assert frame.world.step == frame.second.world.step == 3
+    frame = play(SetCamera("first", CameraState("rgb")), Play(), 4)
+    assert frame.second is not None and not frame.pace.error
+    assert frame.world.step == frame.second.world.step > 3
+
+
+def test_a_side_that_gives_no_answer_leaves_the_two_in_step() -> None:
+    first = Silent()
+    second = Silent("toy-silent")
+    session = Recorder(first, load=lambda _: second)
+    session.at(0.0)
+    session.ask(Compare("toy-silent"), SetSchedule((Event(3, "first", dropped=True),)))
+    session.steps(2)
+    for step, side in ((3, first), (4, second)):
+        side.silent = True
+        assert session.steps(1).pace.error
+        side.silent = False
+        session.ask(Play())
+        frame = session.ask()
+        assert frame.second is not None and not frame.pace.error
+        assert frame.world.step == frame.second.world.step == step
+        assert frame.condition.subset == frame.second.condition.subset == "third_a+third_b"

@@ -12,8 +12,11 @@ from msgspec import structs
 from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
-from madviz.observation.ablation import Ablation, CameraState
+from madviz.measure import mean_picture
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.observation.schedule import Event
 from madviz.session.commands import (
     Compare,
     Pause,
@@ -22,6 +25,7 @@ from madviz.session.commands import (
     SetAutoNext,
     SetCamera,
     SetPolicy,
+    SetSchedule,
     SetSpeed,
     StepOnce,
 )
@@ -32,7 +36,7 @@ from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.session.simulation import Simulation
 from madviz.types import CameraSpec
-from tests.fakes import AllOrNothing, Chunked, FakePolicy, policies
+from tests.fakes import AllOrNothing, Chunked, FakePolicy, Silent, policies
 from tests.sessions import OFF, Recorder, any_task, elsewhere
 
 
@@ -335,3 +339,97 @@ def test_a_replay_closes_the_player_and_the_environment_once():
     with pytest.raises(UserError, match="expected policies for toy/reach"):
         replay_episode(episode, lambda _: FakePolicy(task="metaworld/hammer"), built)
     assert [world.closed for world in worlds] == [1, 1, 1]
+
+
+def test_a_policy_that_gave_no_answer_is_asked_once_more():
+    """It decides from the newest pictures, and what is planned at that step still comes."""
+    policy = Silent()
+    session = Recorder(policy)
+    session.at(0.0)
+    session.ask(SetSchedule((Event(6, "first", dropped=True),)))
+    session.steps(5)
+    policy.silent = True
+    failed = session.steps(1)
+    assert (failed.world.step, failed.pace.phase) == (6, "paused") and failed.pace.error
+    policy.silent = False
+    session.ask(Play())
+    frame = session.steps(5)
+    assert not frame.pace.error and frame.condition.subset == "third_a+third_b"
+    saved = session.save().episodes[-1]
+    assert [one.step for one in saved.commands] == [6]
+    assert replay_episode(saved, lambda _: FakePolicy()).sha256 == saved.sha256
+
+
+def test_an_episode_whose_last_answer_fails_has_ended():
+    policy = Silent()
+    session = Recorder(policy)
+    session.at(0.0)
+    session.steps(24)
+    policy.silent = True
+    assert len(session.steps(1).world.outcomes) == 1
+
+
+class Blind(ToyReach):
+    """Cannot draw while it is ``blind``."""
+
+    blind = False
+    taken = 0
+
+    def step(self, action):
+        self.taken += 1
+        return super().step(action)
+
+    def view(self, camera: str, size: int | None = None):
+        if self.blind:
+            raise RuntimeError("no picture")
+        return super().view(camera, size)
+
+
+@pytest.mark.parametrize("of", ["mean picture", "move", "answer"])
+def test_a_camera_command_that_fails_changes_nothing(of: str, monkeypatch: pytest.MonkeyPatch):
+    def no_pictures(*_):
+        raise RuntimeError("no pictures")
+
+    monkeypatch.setattr(mean_picture, "mean_pictures", no_pictures)
+    env = Blind()
+    policy = Silent()
+    session = Recorder(policy, env_factory=lambda *_: env)
+    untouched = Recorder()
+    for one in (session, untouched):
+        one.at(0.0)
+        one.steps(3)
+    env.blind = of == "move"
+    policy.silent = of == "answer"
+    kind = "mean" if of == "mean picture" else "black"
+    command = (
+        MoveCamera("first", Displacement(right=0.1))
+        if of == "move"
+        else SetCamera("first", CameraState("rgb", Occlusion(kind)))
+    )
+    failed = session.ask(command)
+    assert failed.pace.error and failed.world.change is None
+    assert failed.world.ablation == untouched.frames[-1].world.ablation
+    env.blind = False
+    policy.silent = False
+    session.ask(Play())  # A decision is due at once.
+    left = session.steps(1)
+    right = untouched.steps(2)
+    assert left.world.step == right.world.step == 5
+    np.testing.assert_array_equal(left.world.probe.features, right.world.probe.features)
+    np.testing.assert_array_equal(left.action, right.action)
+
+
+def test_after_a_picture_that_did_not_come_no_decision_is_taken_until_the_seed_starts_again():
+    env = Blind()
+    session = Recorder(env_factory=lambda *_: env)
+    session.at(0.0)
+    session.steps(5)
+    env.blind = True
+    session.steps(1)
+    env.blind = False
+    for _ in range(2):
+        frame = session.ask(Play())
+        assert (frame.world.step, env.taken) == (5, 6)
+        assert "found it one decision ahead" in frame.pace.error
+    frame = session.ask(Reset())
+    assert not frame.pace.error and session.steps(2).world.step == 2

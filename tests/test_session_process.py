@@ -340,3 +340,15 @@ def test_a_second_end_before_the_first_frame_still_knows_seed_and_cameras():
         ours, theirs = Pipe()
         theirs.close()
         session._read(ours)  # Nothing came.
+
+
+@pytest.mark.parametrize("name", ["nonsense", "toy-other"])
+def test_a_choice_that_was_shown_or_failed_is_no_choice_any_more(name: str):
+    session = SessionProcess(Make())
+    here = Recorder()
+    here.at(0.0)
+    session.send(SetPolicy(name))
+    assert session._beginning()[0] == name
+    session._note(here.ask(SetPolicy(name)))
+    session._note(here.ask(SetPolicy("toy-mad"), Play()))
+    assert session._beginning()[0] == "toy-mad"

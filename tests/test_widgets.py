@@ -25,11 +25,11 @@ from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
 from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page, notebook_page
 from madviz.widgets.explorer import MOST
-from madviz.widgets.explorer_table import ROWS, table_html
+from madviz.widgets.explorer_table import ROWS, table_html, words_html
 from madviz.widgets.questions import control_for
 from tests.fakes import AllOrNothing, Chunked, FakePolicy
 from tests.pages import until
-from tests.sessions import frame_with
+from tests.sessions import frame_with, with_world
 
 
 @pytest.fixture
@@ -298,3 +298,12 @@ def test_widgets_need_no_page() -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert loaded.stdout.split() == []
+
+
+def test_a_goal_that_is_met_is_no_success_before_the_end() -> None:
+    frame = frame_with()
+    assert "not yet" in words_html(frame)
+    assert "goal met now" in words_html(with_world(frame, success=True))
+    ended = with_world(frame, step=frame.decisions)
+    assert "failed" in words_html(ended)
+    assert "success" in words_html(with_world(ended, success=True))

@@ -89,9 +89,9 @@ class SecondSimulation:
         """True while this episode has a decision left."""
         return self._whole and not self.simulation.ended
 
-    def step(self) -> None:
-        """One decision, if there is one left."""
-        if self.goes_on:
+    def step(self, to: int) -> None:
+        """One decision, if there is one left before the step ``to``."""
+        if self.goes_on and self.simulation.now.step < to:
             self.simulation.step(lambda: None)
 
     def follow(self, first: Simulation) -> None:

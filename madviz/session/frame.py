@@ -6,6 +6,7 @@ complete picture of one time step that nobody changes afterwards, so that no loc
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -24,6 +25,8 @@ from madviz.subsets import camera_of, mask_of, modality_of
 from madviz.types import Array, Body, CameraPose, EnvSpec, PolicySpec, View
 
 Phase = Literal["playing", "paused", "ended"]
+Reading = tuple[Condition, Array, float]
+"""A condition, and the action (A,) and Q under it."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,21 @@ class Change:
     q_after: float
     moved: str = ""
     """Where the camera went, in words, if that is what was done."""
+
+    @classmethod
+    def between(
+        cls,
+        camera: str,
+        states: Sequence[CameraState],
+        readings: tuple[Reading, Reading],
+        moved: str = "",
+    ) -> Change:
+        """The change of ``camera`` from the first of ``states`` to the second, and ``readings``
+        before and after it."""
+        (condition_before, action_before, q_before), (condition, action, q) = readings
+        apart = float(np.linalg.norm(action - action_before))
+        before, after = states
+        return cls(camera, before, after, condition_before, condition, apart, q_before, q, moved)
 
 
 class Deed(NamedTuple):

@@ -111,7 +111,8 @@ class SessionProcess(LiveSession):
         self._closing = threading.Event()
         self._wanted = threading.Event()
         self._chosen: str | None = None
-        """The policy that the visitor has chosen since the last process ended."""
+        """The policy that the visitor has chosen since the last process ended, until it is shown or
+        an error is."""
         self._shown: Frame | None = None
         """The newest step that was shown, of all processes: where the next one goes on."""
         self._process: ForkServerProcess | None = None
@@ -244,6 +245,8 @@ class SessionProcess(LiveSession):
             self._references.note(side.world.reference, side.world.policy)
         if stands is not None:
             self._shown = replace(frame, world=stands.world, second=stands.second)
+        if frame.pace.error or self._shown.world.reference == self._chosen:
+            self._chosen = None
 
     def _read(self, pipe: Connection) -> None:
         """Until the process ends."""

@@ -17,8 +17,9 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import takewhile
 from typing import Self
 
 from madviz.errors import UserError
@@ -60,6 +61,16 @@ FIRST_SEED = FIRST_LIVE
 NICENESS = 10
 """The niceness of the simulating thread, on a scale where 19 yields to all others; workers are at
 15."""
+IN_ANY_ORDER = (
+    SetCamera,
+    MoveCamera,
+    Pause,
+    SetSpeed,
+    SetAutoNext,
+    SetSaliency,
+    ReadSubsets,
+)
+"""Commands before which a later one on a camera may be carried out."""
 FIRST_ANSWER = "Waiting for the policy's first answer: {} s."
 
 
@@ -263,17 +274,22 @@ class Session(LiveSession):
             self._backlog.append(command)
 
     def _serve_cameras(self) -> None:
-        """In the middle of a step: previews camera commands, leaves the others for later."""
+        """In the middle of a step: previews camera commands, leaves the others, and what must stay
+        behind them, for later."""
         self._collect()
-        for command in [one for one in self._backlog if isinstance(one, SetCamera)]:
+        for command in [one for one in self._ahead() if isinstance(one, SetCamera)]:
             self._backlog.remove(command)
             self._guarded(lambda command=command: self._touch(command, preview=True))
+
+    def _ahead(self) -> Iterator[Command]:
+        """The backlog up to the first command that must not be overtaken."""
+        return takewhile(lambda one: isinstance(one, IN_ANY_ORDER), self._backlog)
 
     def _touch(self, command: SetCamera | MoveCamera, preview: bool = False) -> None:
         """Only the last of several states or moves of one camera: each may be a question to the
         policy or a picture to draw, and a slider that is dragged sends more of them than some
         simulators can draw."""
-        later = (one for one in self._backlog if isinstance(one, type(command)))
+        later = (one for one in self._ahead() if isinstance(one, type(command)))
         last = all(one.camera != command.camera for one in later)
         if self._stage.is_open and last:
             self._stage.touch(command, preview)

@@ -14,8 +14,8 @@ steps the same way, so that an episode can be saved and replayed to the bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -26,23 +26,20 @@ from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
 from madviz.guard.policy import GuardReport
 from madviz.measure.mean_picture import stack_of
-from madviz.observation.ablation import Ablation, CameraState
+from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.streams import StreamStack
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
-from madviz.session.frame import Change, Outcome, World, carried, untouched
+from madviz.session.frame import Change, Outcome, Reading, World, carried, untouched
 from madviz.session.journal import Journal
 from madviz.session.playing import Playing
 from madviz.session.session_file import SavedPolicy
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.session.waiting import PolicyWait
 from madviz.subsets import every_mask, row_of
-from madviz.types import Array, Encoded, Environment, Policy, ResetsInPieces
-
-Reading = tuple[Condition, Array, float]
-"""A condition, and the action (A,) and Q under it."""
+from madviz.types import Array, Encoded, Environment, Policy
 
 
 class Simulation:
@@ -79,6 +76,8 @@ class Simulation:
         self._guard: GuardReport | None = None
         """On this step, where the policy has a guard."""
         self.probe: Probe
+        self._unread = False
+        """Whether the policy gave no answer on the newest pictures, so that ``probe`` is older."""
         self._adopt(policy)
         for camera in env.spec.cameras:
             if camera.name in ablation.moves:
@@ -144,50 +143,58 @@ class Simulation:
 
     def foresee(self) -> Foresight:
         """The policy's imagination of the next decisions. Raises UserError where it cannot."""
-        mask = self._present
-        return foresee(self.policy, self._encoded, mask, self.now.step, str(self.condition))
+        here = (self._present, self.now.step, str(self.condition))
+        return foresee(self.policy, self._encoded, *here)
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; camera settings stay. ``between`` is called as in
         ``step``, and meets the last step of the episode before."""
         # Before the very first episode there is no step that commands could touch.
         pause = between if self._recent else lambda: None
-        if isinstance(self.env, ResetsInPieces):
-            time_step = self.env.reset_in_pieces(seed, pause)
-        else:
-            time_step = self.env.reset(seed)
-        first = StepData.drawn(self.env, time_step, 0, pause)
+        first = StepData.first(self.env, seed, pause)
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
         self._playing.begin(self.policy, seed)
-        self.record = EpisodeRecord(success_any=time_step.success)
+        self.record = EpisodeRecord(success_any=first.time.success)
         self.change = None
         self._recent.clear()
         self._actions = []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
-        self._arrive(first)
+        self._push(first)
+        self._read()
 
-    def step(self, between: Callable[[], None]) -> None:
-        """Takes one decision. ``between`` is called after every camera that is drawn, and may call
-        ``set_camera``. Raises UserError if the policy cannot act on the present streams."""
-        mask = self._present  # (V,)
-        row = self.probe.row(mask)
-        if not self.probe.supported[row]:
+    def check(self) -> None:
+        """Asks the policy once more where it gave no answer on this step. Raises UserError if no
+        decision can be taken here."""
+        if len(self._actions) != self.now.step:
+            raise UserError(
+                f"expected {self.env.spec.task} at step {self.now.step}, found it one "
+                "decision ahead: its pictures did not come; start the seed again"
+            )
+        if self._unread:
+            self._read()
+        if not self.probe.supported[self.probe.row(self._present)]:
             raise UserError(
                 f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )
-        action = self._playing.decide(self._encoded, mask, self._reading()[1])  # (A,)
+
+    def step(self, between: Callable[[], None]) -> None:
+        """Takes one decision. ``between`` is called after every camera that is drawn, and may call
+        ``set_camera``. Raises UserError as ``check`` does."""
+        self.check()
+        action = self._playing.decide(self._encoded, self._present, self._reading()[1])  # (A,)
         time_step = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, time_step)
         self.record.note(self.policy.spec, self.condition, self.ablation)
         self.record.arrived(time_step)
-        self._arrive(StepData.drawn(self.env, time_step, self.now.step + 1, between))
+        self._push(StepData.drawn(self.env, time_step, self.now.step + 1, between))
         if time_step.last:
             ended = (self.seed, time_step.success, self.env.spec.cameras)
             self.outcomes.append(self.record.outcome(self.policy.spec, *ended))
+        self._read()
 
     def close(self) -> None:
         """Frees the environment, and what the policy holds for this episode."""
@@ -207,19 +214,16 @@ class Simulation:
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
         """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
-        self.env.spec.camera(command.camera)
-        before = self.ablation
-        reading = self._reading()
-        self.ablation = before.replace(command.camera, command.state)
-        if self.ablation.occlusions() != before.occlusions():
-            self._stack.replace_last(self.ablation)
-            self._read()
-            if preview:
-                self._stack.replace_last(self._settled)
-        elif self._guard is not None:  # It judges the cameras that are present.
-            self._probe()
-        if command.state != self._state_in(before, command.camera):
-            self._note_change(command.camera, before, command.state, reading)
+        with self._all_or_nothing(command.camera) as (before, reading):
+            self.ablation = before.replace(command.camera, command.state)
+            if self.ablation.occlusions() != before.occlusions():
+                self._stack.replace_last(self.ablation)
+                self._read()
+                if preview:
+                    self._stack.replace_last(self._settled)
+            elif self._guard is not None:  # It judges the cameras that are present.
+                self._probe()
+            self._changed(command.camera, before, reading)
         if not preview:
             self._settled = self.ablation
         self.journal.note(self.now.step + preview, command)
@@ -228,48 +232,46 @@ class Simulation:
         """One camera elsewhere, seen at once: the newest picture is drawn anew, earlier ones of the
         stack stay. Raises UserError for an unknown camera. Not in the middle of a step."""
         name = command.camera
-        self.env.spec.camera(name)
-        before = self.ablation
-        reading = self._reading()
-        self.ablation = before.move(name, command.move)
+        with self._all_or_nothing(name) as (before, reading):
+            self.ablation = before.move(name, command.move)
+            if self.ablation.moves == before.moves:
+                return
+            self._place(name)
+            self._recent[-1] = self.now.redrawn(self.env, name)
+            self._stack.replace_view(name, self.now.views[name])
+            self._stack.replace_last(self.ablation)
+            self._read()
+            to = self.ablation.moves.get(name)
+            moved = f"moved: {to.words()}" if to else "is back in its place"
+            self._changed(name, before, reading, moved)
         self._settled = self.ablation
-        if self.ablation.moves == before.moves:
-            return
-        self._place(name)
-        view = self.env.view(name)
-        now = self.now
-        views = {**now.views, name: view}
-        poses = {**now.poses, name: self.env.pose(name)}
-        self._recent[-1] = replace(now, views=views, poses=poses)
-        self._stack.replace_view(name, view)
-        self._stack.replace_last(self.ablation)
-        self._read()
-        to = self.ablation.moves.get(name)
-        moved = f"moved: {to.words()}" if to else "is back in its place"
-        self._note_change(name, before, self._state_in(before, name), reading, moved)
         self.journal.note(self.now.step, command)
 
-    def _note_change(
-        self, camera: str, before: Ablation, state: CameraState, reading: Reading, moved: str = ""
-    ) -> None:
-        """Notes the effect of a command: ``before`` and ``reading`` were those without it, and
-        ``state`` is the camera's now."""
-        old_condition, old_action, old_q = reading
-        condition, action, q = self._reading()
-        self.change = Change(
-            camera=camera,
-            before=self._state_in(before, camera),
-            after=state,
-            condition_before=old_condition,
-            condition_after=condition,
-            action_change=float(np.linalg.norm(action - old_action)),
-            q_before=old_q,
-            q_after=q,
-            moved=moved,
-        )
+    @contextmanager
+    def _all_or_nothing(self, camera: str) -> Iterator[tuple[Ablation, Reading]]:
+        """All cameras, and the reading, as they are; ``camera`` is put back if anything raises."""
+        self.env.spec.camera(camera)
+        before = self.ablation
+        stack = self._stack.snapshot()
+        now = self.now
+        reading = self._reading()
+        try:
+            yield before, reading
+        except BaseException:
+            moved = self.ablation.moves != before.moves
+            self.ablation = before
+            self._stack.restore(stack)
+            self._recent[-1] = now
+            if moved:
+                self._place(camera)
+            raise
 
-    def _state_in(self, ablation: Ablation, camera: str) -> CameraState:
-        return ablation.cameras.get(camera, untouched(self.policy.spec))
+    def _changed(self, camera: str, before: Ablation, reading: Reading, moved: str = "") -> None:
+        """Notes the effect of a command: ``before`` and ``reading`` were those without it."""
+        normal = untouched(self.policy.spec)
+        states = [at.cameras.get(camera, normal) for at in (before, self.ablation)]
+        if moved or states[0] != states[1]:
+            self.change = Change.between(camera, states, (reading, self._reading()), moved)
 
     def swap(self, policy: Policy) -> None:
         """Another policy in the same episode; it gets the newest frames as its past."""
@@ -282,9 +284,9 @@ class Simulation:
         self._recent.clear()
         for data in past[-policy.spec.frame_stack - 1 :]:
             self._push(data)
-        self._read()
         self.change = None
         self.journal.note(self.now.step, SavedPolicy.of(policy.spec))
+        self._read()
 
     def snapshot(self) -> Snapshot:
         """The present step, for ``return_to``."""
@@ -297,6 +299,7 @@ class Simulation:
             encoded=self._encoded,
             ablation=self.ablation,
             probe=self.probe,
+            unread=self._unread,
             record=self.record.copy(),
             mark=self.journal.mark(),
         )
@@ -319,8 +322,7 @@ class Simulation:
                 "another state: its reset or step depends on something else; start the seed again"
             )
         self._adopt(saved.policy)
-        self._recent.clear()
-        self._recent.extend(saved.recent)
+        self._recent = deque(saved.recent, maxlen=self._recent.maxlen)
         self._stack.restore(saved.stack)
         self._actions = list(saved.actions)
         self._encoded = saved.encoded
@@ -328,10 +330,10 @@ class Simulation:
             self.journal.spoil()
             raise UserError(
                 f"expected {self.policy.spec.name} to decide the same from the same pictures, "
-                "found another action: its noise is not fixed by a seed, so an earlier step of it "
-                "cannot be gone back to; start the seed again"
+                "found another action: its noise is not fixed by a seed; start the seed again"
             )
         self.probe = saved.probe
+        self._unread = saved.unread
         self._guard, self._used = self._playing.look(self._encoded, self._present)
         self.record = saved.record.copy()
         self._settled = saved.ablation
@@ -351,14 +353,11 @@ class Simulation:
         to = self.ablation.moves.get(camera)
         self.env.move_camera(camera, to.placed(spec) if to else None)
 
-    def _arrive(self, data: StepData) -> None:
-        self._push(data)
-        self._read()
-
     def _push(self, data: StepData) -> None:
         self._stack.push(data.views, self.ablation, self.seed, data.step)
         self._settled = self.ablation
         self._recent.append(data)
+        self._unread = True
 
     def _read(self) -> None:
         views = self._stack.views  # (V, C, H, W)
@@ -368,10 +367,12 @@ class Simulation:
 
     def _probe(self) -> None:
         """Reads the subsets of this step, in the features that the policy would act on."""
+        self._unread = True
         with self._wait:
             self._guard, self._used = self._playing.look(self._encoded, self._present)
             only = None if self.policy.spec.reads_together else self._row
             self.probe = probe(self.policy, self._used, self._masks, only)  # actions (N, A)
+        self._unread = False
 
     def _read_row(self, row: int) -> None:
         with self._wait:

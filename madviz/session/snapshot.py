@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from madviz.analysis.probes import Probe
 from madviz.observation.ablation import Ablation
@@ -18,6 +18,7 @@ from madviz.types import (
     Encoded,
     Environment,
     Policy,
+    ResetsInPieces,
     TimeStep,
     View,
 )
@@ -37,6 +38,14 @@ class StepData:
     recorded: RecordedMoment | None = None
 
     @classmethod
+    def first(cls, env: Environment, seed: int, between: Callable[[], None]) -> StepData:
+        """The first step of ``seed``. ``between`` is called as in ``drawn``, and during a reset in
+        pieces."""
+        pieces = isinstance(env, ResetsInPieces)
+        time = env.reset_in_pieces(seed, between) if pieces else env.reset(seed)
+        return cls.drawn(env, time, 0, between)
+
+    @classmethod
     def drawn(
         cls, env: Environment, time: TimeStep, step: int, between: Callable[[], None]
     ) -> StepData:
@@ -49,6 +58,12 @@ class StepData:
         poses = {camera.name: env.pose(camera.name) for camera in env.spec.cameras}
         scene = (env.bodies(), env.body_poses(), env.hand())
         return cls(time, step, views, poses, *scene, moment_of(env))
+
+    def redrawn(self, env: Environment, camera: str) -> StepData:
+        """The same step, with ``camera`` where it is now."""
+        views = {**self.views, camera: env.view(camera)}
+        poses = {**self.poses, camera: env.pose(camera)}
+        return replace(self, views=views, poses=poses)
 
 
 @dataclass(frozen=True)
@@ -65,5 +80,7 @@ class Snapshot:
     encoded: Encoded
     ablation: Ablation
     probe: Probe
+    unread: bool
+    """Whether the policy gave no answer on this step."""
     record: EpisodeRecord
     mark: Mark

@@ -75,6 +75,8 @@ class Stage:
         self._second: SecondSimulation | None = None
         self._linked = True
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
+        self._complete = True
+        """Whether B and the plan have come to A's step."""
         self._retraces: list[Retrace] = []
         """The replays of A's ended episode and of B's, once they were asked for."""
         self._before: dict[Simulation, Snapshot] = {}
@@ -147,30 +149,44 @@ class Stage:
         if self._foresight is not None:  # It stays to be looked at.
             self._foresight = replace(self._foresight, closed=True)
         self._before = {}
+        self._complete = False
         self._plan.begin()
         self._run_plan()
 
     def step(self, between: Callable[[], None]) -> None:
-        """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``."""
+        """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``.
+        Where an error has cut a step short, the rest of it."""
+        live = self._live
+        b = self._second
+        sides = [live, *([b.simulation] if b is not None and b.goes_on else [])]
+        for side in sides:
+            side.check()
+        if self._complete:
+            for side in sides:
+                if side not in self._before and side.condition != Condition("all"):
+                    self._before[side] = side.snapshot()
+            self._step_a(between)
+        if b is not None:
+            b.step(live.now.step)
+        self._run_plan()
+        if live.ended and b is not None:
+            pair = b.concluded(live.outcomes[-1])
+            if pair is not None:
+                self._pairs.append(pair)
+
+    def _step_a(self, between: Callable[[], None]) -> None:
         live = self._live
         condition = str(live.condition)
-        b = self._second
-        for side in (live, *([b.simulation] if b is not None and b.goes_on else [])):
-            if side not in self._before and side.condition != Condition("all"):
-                self._before[side] = side.snapshot()
-        live.step(between)
+        step = live.now.step
+        try:
+            live.step(between)
+        finally:
+            self._complete = live.now.step == step
         if self._foresight is not None:
             now = live.now
             self._foresight = then(
                 self._foresight, live.policy, now.views, live.env.spec, now.time.reward, condition
             )
-        if self._second is not None:
-            self._second.step()
-        self._run_plan()
-        if live.ended and self._second is not None:
-            pair = self._second.concluded(live.outcomes[-1])
-            if pair is not None:
-                self._pairs.append(pair)
 
     def touch(self, command: SetCamera | MoveCamera, preview: bool = False) -> None:
         """Another state or place for a camera; in the past, another future begins with it."""
@@ -271,6 +287,7 @@ class Stage:
             del self._before[live]
         live.return_to(to)
         self._foresight = None
+        self._complete = True
         self.policy = live.policy
         if self._second is not None:
             self._second.part()
@@ -371,3 +388,4 @@ class Stage:
             else:
                 self._live.set_camera(command)
         self._sync_b()
+        self._complete = True

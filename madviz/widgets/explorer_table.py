@@ -18,7 +18,10 @@ ROWS = 12
 def words_html(frame: Frame) -> str:
     """The state of the episode, and the effect of the last click."""
     world = frame.world
-    outcome = "success" if world.success else "not yet" if not frame.ended else "failed"
+    if frame.ended:
+        outcome = "success" if world.success else "failed"
+    else:
+        outcome = "goal met now" if world.success else "not yet"
     lines = [
         f"seed {world.seed}, decision {world.step} of {world.env.horizon}: <b>{outcome}</b>",
         escape(words(world.change, world.env)) if world.change else "",

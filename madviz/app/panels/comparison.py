@@ -11,6 +11,8 @@ from madviz.app.panels.policy import PolicyChoice, PolicyPicker, offered
 from madviz.app.toolkit import Cell, HtmlPanel, on_use, place
 from madviz.drawing.colours import BAD, FAINT, GOOD, NOTE
 from madviz.measure.statistics import Paired
+from madviz.policies.checkpoint import has_guard
+from madviz.policies.guarded import with_guard
 from madviz.session.commands import Compare
 from madviz.session.comparison import tally
 from madviz.session.frame import Frame
@@ -54,7 +56,9 @@ class ComparisonPanel(HtmlPanel):
         stop = gui.add_button("end B", hint=HINTS["stop"])
 
         def begin(*_: object) -> None:
-            send(Compare(picker.names[picker.handle.value], self._frame.world.ablation))
+            name = picker.names[picker.handle.value]
+            guarded = self._frame.world.guard is not None and has_guard(name)
+            send(Compare(with_guard(name, guarded), self._frame.world.ablation))
 
         on_use(start, begin)
         on_use(stop, lambda *_: send(Compare(None)))

@@ -233,11 +233,12 @@ def bars_html(frame: Frame, rates: SuccessRates, guards: Sequence[str] = ()) -> 
     own = [bar_rows(side, rates) for side in sides]
     # Where the two have other streams, a row of one may have no meaning for the other.
     alike = len({side.world.policy.streams for side in sides}) == 1
+    apart = len({side.world.guard is None for side in sides}) == 2
     conditions = list(dict.fromkeys(row for rows in own for row in rows))
     conditions.sort(key=lambda row: row.subset == "none")
     height = 15 if len(sides) == 2 else 20 if len(conditions) < 9 else 17
     rows = [
-        _bar_row(side, condition, rates, "" if len(sides) == 1 else "AB"[index], height)
+        _bar_row(side, condition, rates, "" if len(sides) == 1 else "AB"[index], height, apart)
         for condition in conditions
         for index, side in enumerate(sides)
         if condition in own[index] or alike
@@ -270,9 +271,10 @@ def needs_of(frame: Frame, rates: SuccessRates) -> str:
 
 
 def _bar_row(
-    frame: Frame, condition: Condition, rates: SuccessRates, side: str, height: int
+    frame: Frame, condition: Condition, rates: SuccessRates, side: str, height: int, apart: bool
 ) -> str:
-    """``side``: A or B, of which B leaves out what A's row above it says; '' where there is one."""
+    """``side``: A or B, of which B leaves out what A's row above it says; '' where there is one.
+    ``apart``: only one of the two has a guard."""
     spec = frame.world.policy
     known = {} if condition.key() else rates.shipped(spec)
     shipped = known.get(condition.subset, NOTHING)
@@ -284,7 +286,8 @@ def _bar_row(
         words = " · " + ", ".join(p.split(",")[0] for p in condition.key().split(";"))
         label = label + words
         short = short + words
-    if frame.world.guard is not None and (live.n or condition == frame.condition):
+    guarded = frame.world.guard is not None and (live.n or condition == frame.condition)
+    if guarded:
         label = f"with guard · {label}"
         short = f"with guard · {short}"
     dagger = "" if frame.world.probe.row(mask) in frame.trained_rows else "† "
@@ -294,7 +297,8 @@ def _bar_row(
     now = f'<b style="color:{NOTE}">▸</b>' if here else ""
     title = escape(f"{label}: {_in_words(shipped, 'measured')}; {_in_words(live, 'counted here')}")
     intervals = _interval(shipped, MUTED, 0) + _interval(live, GOOD, 6)
-    named = f"{now}{dagger}{escape(short)}" if side != "B" else ""
+    of_b = ("with guard" if guarded else "no guard") if apart else ""
+    named = f"{now}{dagger}{escape(short)}" if side != "B" else of_b
     squares = f"<span{' class=hidden' if side == 'B' else ''}>{presence(frame, mask)}</span>"
     return (
         f'<div title="{title}" class="rate{" now" if here else ""}" style="height:{height}px">'

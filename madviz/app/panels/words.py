@@ -185,7 +185,7 @@ def ending_html(ending: Ending, frame: Frame, guess: str = "") -> str:
     parts = (escape(ending.done), result, guessed, came_of_it, escape(ending.measured))
     goes_on = (
         ""
-        if frame.pace.speed is None or not frame.pace.auto_next
+        if frame.pace.speed is None or not frame.pace.auto_next or frame.pace.phase == "paused"
         else " The next one soon; pause keeps this one."
     )
     return (
@@ -199,7 +199,7 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
     """The sentence; where the same was done to B, short, with what came of it on each side."""
     second = frame.second
     other = second.world.change if second is not None else None
-    if second is None or other is None or other.camera != change.camera:
+    if second is None or other is None or not (frame.linked and _alike(other, change)):
         return sentence(change, frame, rates)
     parts = []
     for name, side, done in (("A", frame, change), ("B", second, other)):
@@ -207,6 +207,11 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
         known = f", success measured {rate.value:.2f} (n={rate.n})" if rate.n else ""
         parts.append(f"{name}'s action changed by {done.action_change:.2f}{known}")
     return f"{deed(change, frame.world.env)}: {'; '.join(parts)}"
+
+
+def _alike(one: Change, other: Change) -> bool:
+    """Whether the same was done to the same camera."""
+    return (one.camera, one.after, one.moved) == (other.camera, other.after, other.moved)
 
 
 def sentence(change: Change, frame: Frame, rates: SuccessRates) -> str:
