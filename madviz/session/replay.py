@@ -274,8 +274,11 @@ def _verdict(row: ReplayRow) -> str:
 
 def policy_words(episode: SavedEpisode) -> str:
     """``A until step 10, then B``; '' where one policy acted all the time."""
-    swaps = [one for one in episode.commands if isinstance(one.command, SavedPolicy)]
-    words = [f" until step {one.step}, then {one.command.name}" for one in swaps]
+    words = [
+        f" until step {one.step}, then {one.command.name}"
+        for one in episode.commands
+        if isinstance(one.command, SavedPolicy)
+    ]
     return "".join([episode.policy.name, *words]) if words else ""
 
 
