@@ -51,7 +51,7 @@ class Evidence:
 
     @property
     def own_cameras(self) -> bool:
-        """Whether it has cameras of the user's in place of its setting's."""
+        """True where it has cameras of the user's in place of its setting's."""
         return "--cameras" in self.command.split()
 
     @property

@@ -149,3 +149,15 @@ class SetSchedule(SessionCommand):
 
 
 Command = SessionCommand | MoveCamera
+
+
+IN_ANY_ORDER = (
+    SetCamera,
+    MoveCamera,
+    Pause,
+    SetSpeed,
+    SetAutoNext,
+    SetSaliency,
+    ReadSubsets,
+)
+"""Commands before which a later one on a camera may be carried out."""

@@ -26,6 +26,7 @@ from madviz.errors import UserError
 from madviz.observation.displacement import MoveCamera
 from madviz.policies.seeds import FIRST_LIVE
 from madviz.session.commands import (
+    IN_ANY_ORDER,
     Command,
     Compare,
     Foresee,
@@ -61,16 +62,6 @@ FIRST_SEED = FIRST_LIVE
 NICENESS = 10
 """The niceness of the simulating thread, on a scale where 19 yields to all others; workers are at
 15."""
-IN_ANY_ORDER = (
-    SetCamera,
-    MoveCamera,
-    Pause,
-    SetSpeed,
-    SetAutoNext,
-    SetSaliency,
-    ReadSubsets,
-)
-"""Commands before which a later one on a camera may be carried out."""
 FIRST_ANSWER = "Waiting for the policy's first answer: {} s."
 
 

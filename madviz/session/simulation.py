@@ -77,7 +77,7 @@ class Simulation:
         """On this step, where the policy has a guard."""
         self.probe: Probe
         self._unread = False
-        """Whether the policy gave no answer on the newest pictures, so that ``probe`` is older."""
+        """True where the policy gave no answer on the newest pictures: ``probe`` is older."""
         self._adopt(policy)
         for camera in env.spec.cameras:
             if camera.name in ablation.moves:

@@ -81,6 +81,6 @@ class Snapshot:
     ablation: Ablation
     probe: Probe
     unread: bool
-    """Whether the policy gave no answer on this step."""
+    """True where the policy gave no answer on this step."""
     record: EpisodeRecord
     mark: Mark

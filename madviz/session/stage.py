@@ -76,7 +76,7 @@ class Stage:
         self._linked = True
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
         self._complete = True
-        """Whether B and the plan have come to A's step."""
+        """True where B and the plan have come to A's step."""
         self._retraces: list[Retrace] = []
         """The replays of A's ended episode and of B's, once they were asked for."""
         self._before: dict[Simulation, Snapshot] = {}

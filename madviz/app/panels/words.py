@@ -210,7 +210,7 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
 
 
 def _alike(one: Change, other: Change) -> bool:
-    """Whether the same was done to the same camera."""
+    """True where the same was done to the same camera."""
     return (one.camera, one.after, one.moved) == (other.camera, other.after, other.moved)
 
 
