@@ -121,7 +121,7 @@ def test_a_camera_is_imagined_from_the_pictures_that_are_acted_on(guarded: Guard
     good = drawn_from[-1]
     black = session.ask(SetCamera("first", BLACK))
     assert black.world.guard is not None and black.world.guard.failed == {"first"}
-    of_black = session._stage._live._encoded.features[0]
+    of_black = session._stage._live.input.encoded.features[0]
     assert np.abs(drawn_from[-1] - good).max() < 0.5 * np.abs(of_black - good).max()
 
 

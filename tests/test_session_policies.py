@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +35,6 @@ from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import NoFrame
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
-from madviz.session.simulation import Simulation
 from madviz.types import CameraSpec
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, Silent, policies
 from tests.sessions import OFF, Recorder, any_task, elsewhere
@@ -155,6 +155,27 @@ def test_a_swapped_policy_gets_the_past_it_would_have_had():
     np.testing.assert_array_equal(after.world.probe.features, expected.world.probe.features)
 
 
+@pytest.mark.parametrize("before", [FakePolicy, Chunked])
+def test_a_policy_that_gives_no_answer_is_refused_and_the_old_one_stays(before: Callable):
+    fresh = Silent("toy-other")
+    fresh.silent = True
+    session = Recorder(before(), load=lambda _: fresh)
+    untouched = Recorder(before())
+    for one in (session, untouched):
+        one.at(0.0)
+        one.steps(3)
+    refused = session.ask(SetPolicy("toy-other"))
+    assert "expected an answer" in refused.pace.error
+    assert refused.world.policy.name == before().spec.name
+    session.ask(Play())  # A decision is due at once.
+    left = session.steps(1)
+    right = untouched.steps(2)
+    assert left.world.step == right.world.step == 5
+    np.testing.assert_array_equal(left.action, right.action)
+    fresh.silent = False
+    assert session.ask(SetPolicy("toy-other")).world.policy.name == "toy-other"
+
+
 def test_a_simulator_that_cannot_start_is_reported_and_can_be_retried():
     attempts = []
 
@@ -260,7 +281,7 @@ def test_a_policy_that_cannot_live_in_its_environment_leaves_none_open(monkeypat
     def broken(*_):
         raise RuntimeError("no place for it")
 
-    monkeypatch.setattr(Simulation, "_adopt", broken)
+    monkeypatch.setattr("madviz.session.simulation.PolicyInput", broken)
     with pytest.raises(RuntimeError, match="no place for it"):
         open_simulation(Closing(), FakePolicy(), Ablation(), seed=0)
     assert closed == [True]

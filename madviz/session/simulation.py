@@ -21,25 +21,21 @@ import numpy as np
 
 from madviz.analysis.foresight import Foresight, can_foresee, foresee
 from madviz.analysis.imagination import imagined
-from madviz.analysis.probes import Probe, probe, read_row
+from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import LiveSaliency
 from madviz.errors import UserError
-from madviz.guard.policy import GuardReport
-from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
-from madviz.observation.streams import StreamStack
 from madviz.session.commands import SetCamera
 from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Change, Outcome, Reading, World, carried, untouched
 from madviz.session.journal import Journal
-from madviz.session.playing import Playing
+from madviz.session.policy_input import PolicyInput
 from madviz.session.session_file import SavedPolicy
 from madviz.session.snapshot import Snapshot, StepData
 from madviz.session.waiting import PolicyWait
-from madviz.subsets import every_mask, row_of
-from madviz.types import Array, Encoded, Environment, Policy
+from madviz.types import Array, Environment, Policy
 
 
 class Simulation:
@@ -63,22 +59,12 @@ class Simulation:
         self.episode = 0
         self.seed = 0
         self.change: Change | None = None
-        self._recent: deque[StepData] = deque()
+        self._recent: deque[StepData] = deque(maxlen=_kept(policy))
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self.record = EpisodeRecord()
         self._actions: list[Array] = []
         self._wait = wait or PolicyWait()
-        self._playing = Playing(self._wait)
-        self._stack: StreamStack
-        self._encoded: Encoded
-        self._used: Encoded
-        """The features that the policy acts on: ``_encoded``, unless a guard puts in others."""
-        self._guard: GuardReport | None = None
-        """On this step, where the policy has a guard."""
-        self.probe: Probe
-        self._unread = False
-        """True where the policy gave no answer on the newest pictures: ``probe`` is older."""
-        self._adopt(policy)
+        self.input = PolicyInput(policy, env.spec, self._wait)
         for camera in env.spec.cameras:
             if camera.name in ablation.moves:
                 self._place(camera.name)
@@ -94,7 +80,12 @@ class Simulation:
     @property
     def arrived(self) -> dict[str, Array]:
         """(H, W, C) uint8 by stream, what reached the policy last."""
-        return self._stack.newest
+        return self.input.stack.newest
+
+    @property
+    def probe(self) -> Probe:
+        """The actions of every subset of this step."""
+        return self.input.probe
 
     @property
     def condition(self) -> Condition:
@@ -117,7 +108,7 @@ class Simulation:
             body_poses=now.body_poses,
             hand=now.hand,
             probe=self.probe,
-            planned=self._playing.planned,
+            planned=self.input.playing.planned,
             reward=now.time.reward,
             total_reward=self.record.total_reward,
             success=now.time.success,
@@ -125,10 +116,15 @@ class Simulation:
             change=self.change,
             outcomes=tuple(self.outcomes),
             imagined=imagined(
-                self.policy, self._used, self._present, self._acts_on, now.views, self.env.spec
+                self.policy,
+                self.input.used,
+                self._present,
+                self.input.acts_on(self._present),
+                now.views,
+                self.env.spec,
             ),
             foresees=can_foresee(self.policy),
-            guard=self._guard,
+            guard=self.input.guard,
             recorded=now.recorded,
         )
 
@@ -138,13 +134,14 @@ class Simulation:
         if not live.due(self.probe, mask, now, moving, full_speed):
             return False
         with self._wait:
-            live.update(self.policy, self._stack.views, self.now.time.state, mask, self.probe, now)
+            views = self.input.stack.views  # (V, C, H, W)
+            live.update(self.policy, views, self.now.time.state, mask, self.probe, now)
         return True
 
     def foresee(self) -> Foresight:
         """The policy's imagination of the next decisions. Raises UserError where it cannot."""
         here = (self._present, self.now.step, str(self.condition))
-        return foresee(self.policy, self._encoded, *here)
+        return foresee(self.policy, self.input.encoded, *here)
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; camera settings stay. ``between`` is called as in
@@ -155,7 +152,7 @@ class Simulation:
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
-        self._playing.begin(self.policy, seed)
+        self.input.begin(seed)
         self.record = EpisodeRecord(success_any=first.time.success)
         self.change = None
         self._recent.clear()
@@ -172,7 +169,7 @@ class Simulation:
                 f"expected {self.env.spec.task} at step {self.now.step}, found it one "
                 "decision ahead: its pictures did not come; start the seed again"
             )
-        if self._unread:
+        if self.input.unread:
             self._read()
         if not self.probe.supported[self.probe.row(self._present)]:
             raise UserError(
@@ -184,7 +181,8 @@ class Simulation:
         """Takes one decision. ``between`` is called after every camera that is drawn, and may call
         ``set_camera``. Raises UserError as ``check`` does."""
         self.check()
-        action = self._playing.decide(self._encoded, self._present, self._reading()[1])  # (A,)
+        shown = self._reading()[1]  # (A,)
+        action = self.input.playing.decide(self.input.encoded, self._present, shown)
         time_step = self.env.step(action)
         self._actions.append(action)
         self.journal.decided(self.now.step, action, time_step)
@@ -203,26 +201,23 @@ class Simulation:
 
     def leave(self) -> None:
         """Frees what the policy holds for this episode."""
-        self._playing.close()
+        self.input.playing.close()
 
     def read_more(self) -> bool:
         """Reads one more subset of this step, where each costs a pass; whether there was one."""
-        waiting = np.flatnonzero(self.probe.waiting)
-        if len(waiting):
-            self._read_row(int(waiting[0]))
-        return bool(len(waiting))
+        return self.input.read_more()
 
     def set_camera(self, command: SetCamera, preview: bool = False) -> None:
         """Another state for one camera, seen at once. Raises UserError for an unknown camera."""
         with self._all_or_nothing(command.camera) as (before, reading):
             self.ablation = before.replace(command.camera, command.state)
             if self.ablation.occlusions() != before.occlusions():
-                self._stack.replace_last(self.ablation)
+                self.input.stack.replace_last(self.ablation)
                 self._read()
                 if preview:
-                    self._stack.replace_last(self._settled)
-            elif self._guard is not None:  # It judges the cameras that are present.
-                self._probe()
+                    self.input.stack.replace_last(self._settled)
+            elif self.input.guard is not None:  # It judges the cameras that are present.
+                self.input.judge(self._present)
             self._changed(command.camera, before, reading)
         if not preview:
             self._settled = self.ablation
@@ -238,8 +233,8 @@ class Simulation:
                 return
             self._place(name)
             self._recent[-1] = self.now.redrawn(self.env, name)
-            self._stack.replace_view(name, self.now.views[name])
-            self._stack.replace_last(self.ablation)
+            self.input.stack.replace_view(name, self.now.views[name])
+            self.input.stack.replace_last(self.ablation)
             self._read()
             to = self.ablation.moves.get(name)
             moved = f"moved: {to.words()}" if to else "is back in its place"
@@ -249,10 +244,11 @@ class Simulation:
 
     @contextmanager
     def _all_or_nothing(self, camera: str) -> Iterator[tuple[Ablation, Reading]]:
-        """All cameras, and the reading, as they are; ``camera`` is put back if anything raises."""
+        """All cameras, and the reading, as they are; ``camera``, and what the policy got from it,
+        are put back if anything raises."""
         self.env.spec.camera(camera)
         before = self.ablation
-        stack = self._stack.snapshot()
+        got = self.input.state()
         now = self.now
         reading = self._reading()
         try:
@@ -260,7 +256,7 @@ class Simulation:
         except BaseException:
             moved = self.ablation.moves != before.moves
             self.ablation = before
-            self._stack.restore(stack)
+            self.input.restore(got)
             self._recent[-1] = now
             if moved:
                 self._place(camera)
@@ -274,32 +270,35 @@ class Simulation:
             self.change = Change.between(camera, states, (reading, self._reading()), moved)
 
     def swap(self, policy: Policy) -> None:
-        """Another policy in the same episode; it gets the newest frames as its past."""
-        past = list(self._recent)
+        """Another policy in the same episode; it gets the newest frames as its past. If it gives no
+        answer, the old one stays."""
         old = self.policy.spec
-        self.ablation = carried(self.ablation, old, policy.spec)
-        self._settled = carried(self._settled, old, policy.spec)
-        self._adopt(policy)
-        self._playing.begin(policy, self.seed)
-        self._recent.clear()
-        for data in past[-policy.spec.frame_stack - 1 :]:
-            self._push(data)
+        ablation = carried(self.ablation, old, policy.spec)
+        past = list(self._recent)[-policy.spec.frame_stack - 1 :]
+        fresh = PolicyInput(policy, self.env.spec, self._wait)
+        try:
+            fresh.begin(self.seed)
+            for data in past:
+                fresh.push(data, ablation, self.seed)
+            fresh.read(self.now.time.state, ablation.mask(policy.spec.streams))
+        except BaseException:
+            fresh.playing.close()
+            raise
+        self._adopt(policy, fresh)
+        self.ablation = ablation
+        self._settled = ablation
         self.change = None
         self.journal.note(self.now.step, SavedPolicy.of(policy.spec))
-        self._read()
 
     def snapshot(self) -> Snapshot:
         """The present step, for ``return_to``."""
         return Snapshot(
             actions=tuple(self._actions),
             recent=tuple(self._recent),
-            stack=self._stack.snapshot(),
             policy=self.policy,
-            looks=tuple(self._playing.looks),
-            encoded=self._encoded,
+            looks=tuple(self.input.playing.looks),
+            input=self.input.state(),
             ablation=self.ablation,
-            probe=self.probe,
-            unread=self._unread,
             record=self.record.copy(),
             mark=self.journal.mark(),
         )
@@ -321,31 +320,28 @@ class Simulation:
                 f"expected {self.env.spec.task} to repeat seed {self.seed} to the bit, found "
                 "another state: its reset or step depends on something else; start the seed again"
             )
-        self._adopt(saved.policy)
+        self._adopt(saved.policy, PolicyInput(saved.policy, self.env.spec, self._wait))
         self._recent = deque(saved.recent, maxlen=self._recent.maxlen)
-        self._stack.restore(saved.stack)
+        self.input.restore(saved.input)
         self._actions = list(saved.actions)
-        self._encoded = saved.encoded
-        if not self._playing.again(self.policy, self.seed, saved.looks, saved.actions):
+        if not self.input.playing.again(self.policy, self.seed, saved.looks, saved.actions):
             self.journal.spoil()
             raise UserError(
                 f"expected {self.policy.spec.name} to decide the same from the same pictures, "
                 "found another action: its noise is not fixed by a seed; start the seed again"
             )
-        self.probe = saved.probe
-        self._unread = saved.unread
-        self._guard, self._used = self._playing.look(self._encoded, self._present)
+        self.input.look_again(self._present)
         self.record = saved.record.copy()
         self._settled = saved.ablation
         self.change = None
         self.journal.back(saved.mark)
 
-    def _adopt(self, policy: Policy) -> None:
+    def _adopt(self, policy: Policy, fresh: PolicyInput) -> None:
+        """``policy`` acts from now on, with what it gets in ``fresh``."""
+        self.leave()
         self.policy = policy
-        spec = policy.spec
-        self._stack = stack_of(spec, self.env.spec)
-        self._masks = every_mask(len(spec.streams))  # (N, V)
-        self._recent = deque(self._recent, maxlen=max(spec.frame_stack, 3) + 1)
+        self.input = fresh
+        self._recent = deque(self._recent, maxlen=_kept(policy))
 
     def _place(self, camera: str) -> None:
         """Puts a camera where the ablation has it."""
@@ -354,47 +350,23 @@ class Simulation:
         self.env.move_camera(camera, to.placed(spec) if to else None)
 
     def _push(self, data: StepData) -> None:
-        self._stack.push(data.views, self.ablation, self.seed, data.step)
+        self.input.push(data, self.ablation, self.seed)
         self._settled = self.ablation
         self._recent.append(data)
-        self._unread = True
 
     def _read(self) -> None:
-        views = self._stack.views  # (V, C, H, W)
-        with self._wait:
-            self._encoded = self.policy.encode(views, self.now.time.state)  # features (V, Z)
-        self._probe()
-
-    def _probe(self) -> None:
-        """Reads the subsets of this step, in the features that the policy would act on."""
-        self._unread = True
-        with self._wait:
-            self._guard, self._used = self._playing.look(self._encoded, self._present)
-            only = None if self.policy.spec.reads_together else self._row
-            self.probe = probe(self.policy, self._used, self._masks, only)  # actions (N, A)
-        self._unread = False
-
-    def _read_row(self, row: int) -> None:
-        with self._wait:
-            self.probe = read_row(self.probe, self.policy, self._used, row)
+        self.input.read(self.now.time.state, self._present)
 
     @property
     def _present(self) -> Array:
         """(V,) bool: the streams that nobody has switched off."""
         return self.ablation.mask(self.policy.spec.streams)
 
-    @property
-    def _acts_on(self) -> Array:
-        """(V,) bool: the present streams, but those that a guard leaves out."""
-        return self._present if self._guard is None else self._guard.mask
-
-    @property
-    def _row(self) -> int:
-        """Where the streams that it acts on stand among all subsets."""
-        return row_of(self._acts_on)
-
     def _reading(self) -> Reading:
         """The present condition, and the action and Q under it."""
-        row = self._row
-        self._read_row(row)
-        return self.condition, self.probe.readout.action[row], float(self.probe.readout.q[row])
+        return self.condition, *self.input.action(self._present)
+
+
+def _kept(policy: Policy) -> int:
+    """Steps that stay: what ``policy``, or one swapped in, needs as its past."""
+    return max(policy.spec.frame_stack, 3) + 1

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from madviz.analysis.probes import Probe
+from madviz.guard.policy import GuardReport
 from madviz.observation.ablation import Ablation
 from madviz.recorded.moment import RecordedMoment, moment_of
 from madviz.session.episode_record import EpisodeRecord
@@ -67,20 +68,28 @@ class StepData:
 
 
 @dataclass(frozen=True)
+class InputState:
+    """A policy's input at a step; its fields are those of ``PolicyInput``."""
+
+    stack: tuple
+    encoded: Encoded
+    used: Encoded
+    guard: GuardReport | None
+    probe: Probe
+    unread: bool
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """A step of an episode, with all that it takes to go on from it; pictures are shared."""
 
     actions: tuple[Array, ...]
     """The actions that led here from the start."""
     recent: tuple[StepData, ...]
-    stack: tuple
     policy: Policy
     looks: tuple[Look, ...]
     """The inputs that the policy acted on so far, where it remembers."""
-    encoded: Encoded
+    input: InputState
     ablation: Ablation
-    probe: Probe
-    unread: bool
-    """True where the policy gave no answer on this step."""
     record: EpisodeRecord
     mark: Mark

@@ -204,15 +204,15 @@ class Stage:
     def swap(self, name: str) -> bool:
         """Another policy; in the same episode where it belongs to the same task and render profile,
         otherwise in a new environment. Returns whether that began the episode again. If it cannot
-        be loaded, the old one stays."""
+        be loaded, or gives no answer in the same episode, the old one stays."""
         policy = self._loaded(name)
         if self._timeline.shown is not None:
             self.fork()
         live = self.simulation
         if live is not None and self._lives_in(policy.spec, live.env.spec):
             check_environment(policy.spec, live.env.spec)
-            self.policy = policy
             live.swap(policy)
+            self.policy = policy
             self.saliency.forget()
             self._foresight = None
             return False
