@@ -14,6 +14,7 @@ import viser
 from madviz.analysis.projection import DECISIONS
 from madviz.analysis.shapley import set_names
 from madviz.app.panel import apply
+from madviz.app.panels.features import NO_FEATURES
 from madviz.app.panels.projection import ProjectionPanel
 from madviz.app.panels.saliency import SaliencyPanel, saliency_words
 from madviz.app.panels.shapley import (
@@ -33,6 +34,7 @@ from madviz.observation.ablation import CameraState, Occlusion
 from madviz.session.commands import Pause, Reset, SetCamera, SetPolicy
 from madviz.session.frame import Frame, HandPaths
 from madviz.session.session import Session
+from madviz.types import Array, Encoded, Readout
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
 from tests.sessions import frame_with, with_pace, with_world
@@ -87,6 +89,7 @@ def test_success_says_what_is_not_measured_yet() -> None:
     )
     assert column.values is None
     assert "First person + Third A" in column.words and "3 more" in column.words
+    assert "with Measure on" not in column.words  # Nobody here measures.
 
 
 def test_a_dropped_camera_has_no_value_and_half_the_sets_will_do() -> None:
@@ -112,8 +115,25 @@ def test_a_policy_that_cannot_do_without_cameras_has_no_values_and_says_why() ->
     words = text(shapley_html(frame, SuccessRates()))
     assert "cannot act on First person + Third A, First person + Third B, First person" in words
     assert "4 more" in words
+    assert "not defined" in success_column(frame, SuccessRates()).words
     broken = action_column(frame_with(policy=NanPolicy("toy-nan")))
     assert broken.values is None and "not finite" in broken.words
+
+
+def test_a_map_of_a_policy_that_shows_no_features_says_so(server: viser.ViserServer) -> None:
+    class Silent(FakePolicy):
+        """Its features are zeros of one number, as the documents ask for."""
+
+        def encode(self, views: Array, state: Array) -> Encoded:
+            return replace(super().encode(views, state), features=np.zeros((len(views), 1)))
+
+        def read(self, encoded: Encoded, masks: Array) -> Readout:
+            count = len(np.atleast_2d(masks))
+            return Readout(np.zeros((count, 1)), np.zeros((count, 2)), np.zeros(count))
+
+    gui = recorded(server.gui)
+    ProjectionPanel(gui, frame_with(policy=Silent("own")))
+    assert NO_FEATURES in gui.html
 
 
 def test_a_policy_without_a_critic_has_no_value_in_q() -> None:
@@ -241,6 +261,8 @@ def test_the_switch_asks_and_the_line_says_what_comes(server: viser.ViserServer)
     frame = replace(frame, explained="q")
     assert "never has one" in saliency_words(frame)
     assert "its Q would change" in saliency_words(looking(frame))
+    before = replace(frame, history=frame.history * 3)
+    assert before.past and "earlier step" in saliency_words(before)
     assert "full speed" in saliency_words(with_pace(frame, speed=None))
     stuck = frame_with(SetCamera("first", OFF), policy=AllOrNothing("toy-stack"))
     assert "cannot act" in saliency_words(replace(stuck, explained="action"))

@@ -10,13 +10,17 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from msgspec import structs
 
 from madviz.app.connection import _forgive, is_too_late
+from madviz.app.keys import Keys
 from madviz.app.panel import CROSSED, Assign, apply
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel, switched
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
 from madviz.app.panels.policy import PolicyChoice, PolicyPanel, status_html
+from madviz.app.panels.save import file_name, save_html
+from madviz.app.panels.shapley import shapley_html
 from madviz.app.panels.subsets import SubsetsPanel, presence, subsets_html
 from madviz.app.panels.success import SuccessPanel
 from madviz.app.panels.words import Prediction, WordsPanel
@@ -35,6 +39,7 @@ from madviz.session.commands import (
     Fork,
     Link,
     Pause,
+    Play,
     Scrub,
     SetCamera,
     SetPolicy,
@@ -44,7 +49,7 @@ from madviz.session.frame import Frame
 from madviz.session.session import Session
 from tests.fakes import AllOrNothing, FakePolicy, NanPolicy, policies
 from tests.pages import browser, recorded, use
-from tests.sessions import OFF, Recorder, frame_with, with_world
+from tests.sessions import OFF, Recorder, frame_with, with_pace, with_world
 
 
 def test_camera_switches_send_commands_and_never_echo(server):
@@ -284,6 +289,38 @@ def test_features_table_names_every_stream_and_the_sum():
     html = features_html(frame_with(SetCamera("third_a", OFF)))
     for words in ("First person", "Third A · dropped", "Third B", "merged: their sum"):
         assert words in html
+
+
+def test_labels_of_a_policy_are_text_and_no_html():
+    frame = frame_with()
+    cameras = tuple(replace(one, label="<b>x") for one in frame.world.env.cameras)
+    frame = with_world(frame, env=replace(frame.world.env, cameras=cameras))
+    shown = [features_html(frame), save_html(frame), shapley_html(frame, SuccessRates())]
+    assert "&lt;b&gt;x" in shown[0] and not any("<b>x" in html for html in shown)
+
+
+def test_the_commands_name_the_file_that_is_saved():
+    session = Recorder()
+    frame = session.ask(StepOnce())
+    task = "my_robots.Lift:make"
+    saved = session.save()
+    last = structs.replace(saved.episodes[-1], task=task)
+    name = file_name(replace(saved, episodes=(last,)))
+    own = with_world(frame, env=replace(frame.world.env, task=task))
+    assert name == "myrobotsiftmake-seed2000.json" and f"replay {name}" in save_html(own)
+
+
+def test_space_keeps_an_ending_that_would_go_by():
+    frame = frame_with()
+    sent: list[object] = []
+
+    def press(**pace):
+        keys = Keys(sent.append, lambda: with_pace(frame, **pace), frame)
+        next(act for _, key, act in keys.table if key == "space")()
+        return sent[-1]
+
+    assert press(phase="ended", auto_next=True) == press(phase="playing") == Pause()
+    assert press(phase="ended", auto_next=False) == press(phase="paused") == Play()
 
 
 def test_features_table_says_what_share_of_the_sum_a_stream_is():

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import threading
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from madviz.agent.networks import Encoder, NetworkConfig, Trunk
 from madviz.analysis import saliency as module
 from madviz.analysis.saliency import LiveSaliency, saliency
 from madviz.errors import UserError
+from madviz.guard.policy import GuardedPolicy
 from madviz.types import PolicySpec
 from tests.fakes import FakePolicy
 
@@ -47,6 +50,15 @@ def test_the_encoder_reads_floating_pixels_as_it_reads_bytes() -> None:
     torch.testing.assert_close(encoder(pixels.float()), encoder(pixels), rtol=0, atol=0)
     slow = encoder.double()
     torch.testing.assert_close(slow(pixels.double()), slow(pixels), rtol=0, atol=1e-12)
+
+
+def test_a_guard_changes_nothing_of_a_map() -> None:
+    values: Any = SimpleNamespace(streams=dict.fromkeys(STREAMS), digest="")
+    policy, mask = policy_with(), np.array([True, False, True])
+    bare = saliency(policy, pictures(), STATE, mask)
+    guarded = saliency(GuardedPolicy(policy, values), pictures(), STATE, mask)
+    assert bare is not None and guarded is not None
+    np.testing.assert_array_equal(bare, guarded)
 
 
 @pytest.mark.parametrize("target", ["q", "action"])

@@ -108,6 +108,11 @@ def test_ending_b_and_starting_another_forgets_the_pairs() -> None:
     assert "Start B" in comparison_html(frame)
 
 
+def test_looking_back_says_nothing_of_starting_b() -> None:
+    frame = Played()(Compare("toy-mad"), 5, Scrub(2))
+    assert frame.past and "Start B" not in comparison_html(frame)
+
+
 def test_a_policy_of_another_task_has_nothing_to_compare() -> None:
     stranger = FakePolicy("stranger", task="metaworld/hammer")
     play = Played(load=lambda name: stranger)

@@ -27,6 +27,7 @@ from madviz.session.commands import (
     SetCamera,
     SetPolicy,
     SetSchedule,
+    SetSeed,
     SetSpeed,
     StepOnce,
 )
@@ -451,6 +452,20 @@ def test_after_a_picture_that_did_not_come_no_decision_is_taken_until_the_seed_s
     for _ in range(2):
         frame = session.ask(Play())
         assert (frame.world.step, env.taken) == (5, 6)
-        assert "found it one decision ahead" in frame.pace.error
+        assert "at step 5 of seed" in frame.pace.error and "found it elsewhere" in frame.pace.error
     frame = session.ask(Reset())
     assert not frame.pace.error and session.steps(2).world.step == 2
+
+
+@pytest.mark.parametrize("command", [Play(), StepOnce()])
+def test_after_a_first_picture_that_did_not_come_the_seed_that_was_asked_for_begins(command):
+    env = Blind()
+    session = Recorder(env_factory=lambda *_: env)
+    session.at(0.0)
+    session.steps(5)
+    env.blind = True
+    session.ask(SetSeed(2007))
+    env.blind = False
+    frame = session.ask(command)
+    assert (frame.world.seed, frame.world.step, env.taken) == (2007, 0, 5)
+    assert not frame.pace.error and session.ask(StepOnce()).world.step == 1

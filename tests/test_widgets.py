@@ -20,6 +20,7 @@ import pytest
 
 from madviz.errors import UserError
 from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.condition import Condition
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
@@ -84,6 +85,14 @@ def test_cells_can_do_what_clicks_do(explorer: Explorer) -> None:
     assert not explorer.frame.mask[0]
     with pytest.raises(UserError, match="unknown camera"):
         explorer.set("fourth", "off")
+
+
+def test_a_cell_that_breaks_a_camera_leaves_all_that_the_policy_knows_of_it() -> None:
+    with closing(Explorer(FakePolicy("toy-rgbd", "three-rgbd"))) as explorer:
+        explorer.set("third_a", occlusion="black")
+        assert explorer.frame.condition.subset == "all"
+        explorer.set("third_a")
+        assert explorer.frame.condition == Condition("all")
 
 
 def test_switches_follow_what_a_cell_does_and_a_click_changes_one_thing(

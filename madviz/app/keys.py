@@ -61,5 +61,8 @@ class Keys:
 
     def _play_or_pause(self) -> None:
         frame = self._newest()
-        playing = isinstance(frame, Frame) and frame.pace.phase == "playing"
-        self._send(Pause() if playing else Play())
+        # After an episode the next one begins by itself, unless it is told not to.
+        goes_on = isinstance(frame, Frame) and (
+            frame.pace.phase == "playing" or (frame.pace.phase == "ended" and frame.pace.auto_next)
+        )
+        self._send(Pause() if goes_on else Play())

@@ -23,7 +23,17 @@ from madviz.errors import UserError
 from madviz.guard.detector import CameraVerdict, Guard
 from madviz.guard.values import GuardValues
 from madviz.subsets import camera_of
-from madviz.types import Array, Encoded, Imagines, Player, Policy, PolicyWithMemory, Readout
+from madviz.types import (
+    Array,
+    Encoded,
+    Foresees,
+    Future,
+    Imagines,
+    Player,
+    Policy,
+    PolicyWithMemory,
+    Readout,
+)
 
 SUFFIX = " (guarded)"
 """The name of a policy ends so where it has a guard."""
@@ -93,6 +103,25 @@ class GuardedPolicy:
 
     def supports(self, mask: Array) -> bool:
         return self.inner.supports(mask)
+
+    @property
+    def agent(self) -> object:
+        """The policy's networks, for its saliency; None where it has none of torch."""
+        return getattr(self.inner, "agent", None)
+
+    @staticmethod
+    def pictures(encoded: Encoded) -> Array:
+        """(V, C, H, W) uint8: the pictures that were encoded."""
+        return encoded.private.views
+
+    @property
+    def foresees(self) -> bool:
+        return isinstance(self.inner, Foresees) and self.inner.foresees
+
+    def foresee(self, encoded: Encoded, mask: Array, decisions: int) -> Future:
+        """As the policy does: in what it imagines no camera fails."""
+        assert isinstance(self.inner, Foresees)
+        return self.inner.foresee(_without(encoded), mask, decisions)
 
     @property
     def imagines(self) -> bool:

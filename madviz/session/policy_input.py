@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from madviz.analysis.probes import Probe, probe, read_row
-from madviz.guard.policy import GuardReport
+from madviz.guard.policy import GuardedPolicy, GuardReport
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
 from madviz.session.playing import Playing
@@ -69,6 +69,12 @@ class PolicyInput:
             only = None if self._policy.spec.reads_together else row_of(self.acts_on(mask))
             self.probe = probe(self._policy, self.used, self._masks, only)  # actions (N, A)
         self.unread = False
+
+    @property
+    def views(self) -> Array:
+        """(V, C, H, W) uint8: the pictures that the policy acts on."""
+        guarded = self._policy if isinstance(self._policy, GuardedPolicy) else None
+        return self.stack.views if guarded is None else guarded.pictures(self.used)
 
     def acts_on(self, mask: Array) -> Array:
         """(V,) bool: the streams of ``mask`` (V,), but those that a guard leaves out."""

@@ -247,9 +247,10 @@ class Session(LiveSession):
         self._emit()
 
     def _advance(self, now: float) -> None:
-        """The next step, or the next episode after the end of one."""
-        if self._stage.ended:
-            self._begin(self._stage.seed + 1, now)
+        """The next step, or the episode that is due."""
+        due = self._stage.due
+        if due is not None:
+            self._begin(due, now)
             return
         self._stage.step(self._serve_cameras)
         self._pace.step(now)
@@ -342,8 +343,8 @@ class Session(LiveSession):
 
     def _play(self, now: float) -> None:
         self._stage.show_step(None)
-        if not self._stage.is_open or self._stage.ended:
-            self._begin(self._stage.seed + self._stage.ended, now)
+        if self._stage.due is not None:
+            self._advance(now)
         else:
             self._pace.due = now
         self._paused = False
@@ -357,10 +358,7 @@ class Session(LiveSession):
     def _step_once(self, now: float) -> None:
         self._error = ""
         self._stage.show_step(None)
-        if self._stage.is_open:
-            self._advance(now)
-        else:
-            self._begin(self._stage.seed, now)
+        self._advance(now)
         self._halt()
 
     def _swap(self, name: str, now: float) -> None:

@@ -63,6 +63,8 @@ class Simulation:
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self.record = EpisodeRecord()
         self._actions: list[Array] = []
+        self.missed: int | None = None
+        """The seed whose first pictures did not come, if its episode was to begin last."""
         self._wait = wait or PolicyWait()
         self.input = PolicyInput(policy, env.spec, self._wait)
         for camera in env.spec.cameras:
@@ -130,25 +132,28 @@ class Simulation:
 
     def explain(self, live: LiveSaliency, now: float, moving: bool, full_speed: bool) -> bool:
         """Finds the pixels that matter if a new map is due; whether it was."""
-        mask = self._present
+        mask = self.input.acts_on(self._present)
         if not live.due(self.probe, mask, now, moving, full_speed):
             return False
         with self._wait:
-            views = self.input.stack.views  # (V, C, H, W)
+            views = self.input.views  # (V, C, H, W)
             live.update(self.policy, views, self.now.time.state, mask, self.probe, now)
         return True
 
     def foresee(self) -> Foresight:
         """The policy's imagination of the next decisions. Raises UserError where it cannot."""
-        here = (self._present, self.now.step, str(self.condition))
-        return foresee(self.policy, self.input.encoded, *here)
+        present = self.input.acts_on(self._present)
+        here = (present, self.now.step, str(self.condition))
+        return foresee(self.policy, self.input.used, *here)
 
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; camera settings stay. ``between`` is called as in
         ``step``, and meets the last step of the episode before."""
         # Before the very first episode there is no step that commands could touch.
         pause = between if self._recent else lambda: None
+        self.missed = seed
         first = StepData.first(self.env, seed, pause)
+        self.missed = None
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
@@ -164,10 +169,10 @@ class Simulation:
     def check(self) -> None:
         """Asks the policy once more where it gave no answer on this step. Raises UserError if no
         decision can be taken here."""
-        if len(self._actions) != self.now.step:
+        if self.missed is not None or len(self._actions) != self.now.step:
             raise UserError(
-                f"expected {self.env.spec.task} at step {self.now.step}, found it one "
-                "decision ahead: its pictures did not come; start the seed again"
+                f"expected {self.env.spec.task} at step {self.now.step} of seed {self.seed}, found "
+                "it elsewhere: its pictures did not come; start the seed again"
             )
         if self.input.unread:
             self._read()
@@ -322,6 +327,7 @@ class Simulation:
             )
         self._adopt(saved.policy, PolicyInput(saved.policy, self.env.spec, self._wait))
         self._recent = deque(saved.recent, maxlen=self._recent.maxlen)
+        self.missed = None
         self.input.restore(saved.input)
         self._actions = list(saved.actions)
         if not self.input.playing.again(self.policy, self.seed, saved.looks, saved.actions):

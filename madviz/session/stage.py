@@ -92,6 +92,15 @@ class Stage:
         return self.simulation is not None and self.simulation.ended
 
     @property
+    def due(self) -> int | None:
+        """The seed of the episode that is to begin: nothing is open, its first pictures did not
+        come, or the one before has ended. None while an episode goes on."""
+        live = self.simulation
+        if live is None or live.missed is not None:
+            return self.seed if live is None else live.missed
+        return self.seed + 1 if live.ended else None
+
+    @property
     def has_an_ending(self) -> bool:
         """Whether a camera was changed in the episode that is over, or two policies compared."""
         return self._second is not None or bool(self._live.outcomes[-1].deeds)

@@ -35,7 +35,7 @@ from madviz.observation.ablation import KINDS, CameraInput, CameraState, Occlusi
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
 from madviz.session.comparison import EnvFactory
-from madviz.session.frame import Frame, NoFrame
+from madviz.session.frame import Frame, NoFrame, untouched
 from madviz.session.session import Session
 from madviz.subsets import modality_of
 from madviz.teaching import begin
@@ -128,11 +128,12 @@ class Explorer(StaticBox):
         return latest
 
     def set(
-        self, camera: str, input: CameraInput = "rgb", occlusion: OcclusionKind = "none"
+        self, camera: str, input: CameraInput | None = None, occlusion: OcclusionKind = "none"
     ) -> None:
-        """The same as a click: another switch or occlusion for ``camera``."""
+        """The same as a click: another switch or occlusion for ``camera``. ``input`` None: all that
+        the policy knows of it, colour, depth or both."""
         self.frame.world.env.camera(camera)
-        state = CameraState(input, Occlusion(occlusion))
+        state = CameraState(input or untouched(self.frame.world.policy).input, Occlusion(occlusion))
         self._send_and_wait(SetCamera(camera, state), lambda frame: frame.camera(camera) == state)
 
     def step(self, count: int = 1) -> None:

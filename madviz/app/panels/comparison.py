@@ -22,6 +22,7 @@ INTRODUCTION = (
     "choose here, with the cameras as they are now. Its pictures appear under A's. The switches "
     "act on A and B, until you choose <b>A only</b>."
 )
+PAST = "B, if there is one, is shown at the newest step only. Its pairs are kept."
 CHANCE = (
     "p: how often two equal sides come to look as different as this, if somebody looks after every "
     "pair. The interval is that of a number of pairs which was fixed before."
@@ -75,7 +76,10 @@ class ComparisonPanel(HtmlPanel):
 
 def comparison_html(frame: Frame) -> str:
     """The tally, or what there is to try."""
-    said = INTRODUCTION if frame.second is None else _tally(frame)
+    if frame.second is None:
+        said = PAST if frame.past else INTRODUCTION
+    else:
+        said = _tally(frame)
     return f'<div class="mv mv-comparison">{said}</div>'
 
 

@@ -10,6 +10,7 @@ only of a sum may the page say that it is one, and only a sum has shares.
 from __future__ import annotations
 
 from base64 import b64encode
+from html import escape
 
 import cv2
 import numpy as np
@@ -162,7 +163,7 @@ def features_html(frame: Frame) -> str:
             f"{cosines[index]:.2f}" if np.isfinite(cosines[index]) else "–",
             f"{shares[index]:.0f} %" if np.isfinite(shares[index]) else "–",
         )
-        label = stream_label(frame, stream) + ("" if mask[index] else " · dropped")
+        label = escape(stream_label(frame, stream)) + ("" if mask[index] else " · dropped")
         colour = colours[camera_of(stream)]
         rows.append(_row(colour, label, terms[index] / top, numbers, faded=not mask[index]))
     whole = "100 %" if np.isfinite(shares).all() else ""

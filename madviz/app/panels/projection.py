@@ -18,7 +18,7 @@ import viser
 from madviz.analysis.projection import DECISIONS, Basis, FeatureMaps
 from madviz.app.chart import chart, polyline
 from madviz.app.markup import progress_bar
-from madviz.app.panels.features import NO_VIEWS
+from madviz.app.panels.features import NO_FEATURES, NO_VIEWS
 from madviz.app.toolkit import HtmlPanel
 from madviz.drawing.colours import MERGED, MUTED, camera_colours
 from madviz.session.camera_names import stream_label
@@ -57,7 +57,8 @@ class ProjectionPanel(HtmlPanel):
 
     def _content(self, frame: Frame) -> str:
         if frame.world.probe.merged_kind() == "no views":
-            return f'<div class="mv mv-map">{NO_VIEWS}</div>'
+            hidden = not frame.world.probe.merged(frame.row).any()
+            return f'<div class="mv mv-map">{NO_FEATURES if hidden else NO_VIEWS}</div>'
         key = frame.world.policy
         trail = self._note(frame, key)
         basis = self._atlas.map(key)

@@ -52,6 +52,8 @@ def saliency_words(frame: Frame) -> str:
             f"Bright: if this pixel changed a little, {what} would change most (SmoothGrad, twice "
             "a second). All pictures share one scale: a dark one hardly counts."
         )
+    if frame.past:
+        return "Not for an earlier step: go back to the newest one."
     if frame.pace.speed is None and frame.pace.phase == "playing":
         return "Not at full speed: choose a slower one, or pause."
     if not frame.world.probe.supported[frame.row]:

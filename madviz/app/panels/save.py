@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from html import escape
 
 import viser
 
@@ -41,15 +40,19 @@ class SavePanel(HtmlPanel):
 def file_name(saved: SavedSession) -> str:
     """``hammer-seed2003.json``; of several episodes ``hammer-20-episodes.json``."""
     last = saved.episodes[-1]
-    task = re.sub(r"[^a-z0-9-]", "", last.task.split("/")[-1]) or "session"
+    task = _stem(last.task)
     count = len(saved.episodes)
     return f"{task}-{count}-episodes.json" if count > 1 else f"{task}-seed{last.seed}.json"
 
 
+def _stem(task: str) -> str:
+    """The task's part of a file name, safe on every system and in HTML."""
+    return re.sub(r"[^a-z0-9-]", "", task.split("/")[-1]) or "session"
+
+
 def save_html(frame: Frame) -> str:
     """The sentence that says what the file is good for."""
-    task = escape(frame.world.env.task.split("/")[-1])
-    name = f"{task}-seed{frame.world.seed}.json"
+    name = f"{_stem(frame.world.env.task)}-seed{frame.world.seed}.json"
     rows = {
         f"madviz replay {name}": "the same again, and whether it is so to the bit",
         f"madviz explore --replay {name}": "on the page, from the first step on",

@@ -119,8 +119,11 @@ def success_column(frame: Frame, rates: SuccessRates) -> Column:
     found = {name: rates.best(frame.world.policy, Condition(name)) for name in dict.fromkeys(names)}
     means = {name: rate.value for name, rate in found.items()}
     values = success_shapley(means, streams, frame.mask)
+    if values is None and _cannot(frame):
+        return Column(title, None, 2, "–", f"<b>Success</b>: {_undefined(frame)}")
     if values is None:
-        return Column(title, None, 2, "–", _missing(frame, [n for n in found if not found[n].n]))
+        missing = [name for name in found if not found[name].n]
+        return Column(title, None, 2, "–", _missing(frame, missing, rates.measures))
     bounded = {name: (rate.value, *rate.interval) for name, rate in found.items()}
     low, high = success_interval(bounded, streams, frame.mask)
     least = min(rate.n for rate in found.values())
@@ -135,12 +138,10 @@ def success_column(frame: Frame, rates: SuccessRates) -> Column:
 
 def _undefined(frame: Frame) -> str:
     """Why a game cannot be played: which sets of cameras the policy cannot act on."""
-    streams = frame.world.policy.streams
     probe = frame.world.probe
-    names = dict.fromkeys(set_names(streams, frame.mask))
-    cannot = [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
+    cannot = _cannot(frame)
     if not cannot and not probe.known.all():
-        return "needs every subset: switch <b>Read every subset</b> on, under Subsets."
+        return "needs every subset: switch <b>Read every subset</b> on, under <b>What if?</b>."
     if not cannot:
         return "some of its numbers are broken (not finite), so there is nothing to share."
     said = ", ".join(escape(subset_label(frame, name)) for name in cannot[:3])
@@ -148,13 +149,19 @@ def _undefined(frame: Frame) -> str:
     return f"not defined. The idea needs every subset, and this policy cannot act on {said}{more}."
 
 
-def _missing(frame: Frame, names: list[str]) -> str:
+def _cannot(frame: Frame) -> list[str]:
+    """The sets of the present cameras that the policy cannot act on."""
+    streams = frame.world.policy.streams
+    probe = frame.world.probe
+    names = dict.fromkeys(set_names(streams, frame.mask))
+    return [name for name in names if not probe.supported[probe.row(mask_of(name, streams))]]
+
+
+def _missing(frame: Frame, names: list[str], measures: bool) -> str:
     said = "; ".join(escape(subset_label(frame, name)) for name in names[:4])
     more = f"; {len(names) - 4} more" if len(names) > 4 else ""
-    return (
-        f"<b>Success</b>: not known yet. Not measured: {said}{more}. Switch the cameras so, with "
-        "Measure on, and its episodes are played."
-    )
+    how = " Switch the cameras so, with Measure on, and its episodes are played."
+    return f"<b>Success</b>: not known yet. Not measured: {said}{more}.{how if measures else ''}"
 
 
 def _row(frame: Frame, camera: str, index: int, columns: list[Column]) -> str:
