@@ -16,12 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from madviz.errors import unknown
+from madviz.errors import UserError, unknown
 
 Array = np.ndarray
 Modality = Literal["rgb", "depth"]
@@ -281,6 +281,24 @@ class PolicySpec:
     reads_together: bool = True
     """Whether many subsets are read in one pass; False: each costs a pass, and a page reads those
     that are asked for."""
+
+    def __post_init__(self) -> None:
+        """Raises UserError for streams that are none: others would be read as colour."""
+        names = self.streams
+        each = isinstance(names, tuple) and all(
+            isinstance(name, str) and name.partition(".")[2] in ("", *get_args(Modality))
+            for name in names
+        )
+        if not each or not names or len(set(names)) < len(names):
+            raise UserError(
+                f"{self.name}: expected streams as a tuple of cameras, each once, such as "
+                f"('first', 'third_a.depth'), found {names!r:.100}"
+            )
+        if self.frame_stack < 1 or self.image_size < 1:
+            raise UserError(
+                f"{self.name}: expected frame_stack and image_size of 1 or more, found "
+                f"{self.frame_stack} and {self.image_size}"
+            )
 
 
 @runtime_checkable

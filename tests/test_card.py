@@ -75,6 +75,15 @@ def test_a_card_without_an_evaluation_says_so(folder):
     )
 
 
+def test_a_card_names_what_opens_these_weights(folder, monkeypatch):
+    """An included policy of the same name has other ones."""
+    mine = folder.rename(folder.parent / "mine")
+    monkeypatch.chdir(mine)
+    for text in (card_text(mine), card_text(".")):
+        assert "explore --policy mine" in text and "eval --policy mine --card" in text
+        assert "toy-reach-mad-light --" not in text
+
+
 def test_a_card_never_shows_numbers_of_other_weights(folder):
     measure(folder, ROWS)
     save_policy(folder, make_agent(1), make_config())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -231,6 +232,8 @@ def test_every_scenario_fits_every_camera_set(one) -> None:
                 (dropped.add if event.dropped else dropped.discard)(event.camera)
             assert len(dropped) < count or count == 1, "somebody must be left to see"
     assert one.schedule(ENV), one.name
+    eight = tuple(replace(ENV.cameras[0], name=f"c{place}") for place in range(8))
+    assert all(event.step < 100 for event in one.schedule(replace(ENV, cameras=eight, horizon=100)))
     assert scenario(one.name) is one and one.words.endswith(".")
 
 

@@ -79,3 +79,7 @@ def test_a_failure_can_be_written_again(word: str) -> None:
     failure = parse_failure(word)
     begin = failure.begin if "@" in word else None
     assert failure_text(failure.camera, failure.occlusion, begin) == word
+
+
+def test_what_a_kind_does_not_use_is_not_written() -> None:
+    assert failure_text("first", Occlusion("black", strength=0.5)) == "first=black"

@@ -242,6 +242,15 @@ def test_a_condition_can_be_written_and_read_again(word):
     assert explore_command(Job("p", "", condition, 7), streams).split()[-1] == word
 
 
+def test_colour_of_one_camera_and_depth_of_another_are_dropped_one_by_one():
+    streams = ("first", "third_a.depth")
+    for camera, left in (("first", "depth"), ("third_a", "rgb")):
+        condition = parse_condition(f"{camera}=off@20", ("first", "third_a")).noticed(streams)
+        assert (condition.subset, condition.begin) == (left, 20)
+        word = condition_text(condition, streams)
+        assert parse_condition(word, ("first", "third_a")).noticed(streams) == condition
+
+
 def test_the_page_begins_with_the_switches_of_an_episode():
     spec = replace(Looker().spec, streams=SETTINGS["three"].streams)
     start = partial(ExploreConfig, seed=60_003)

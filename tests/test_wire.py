@@ -68,6 +68,8 @@ TRAPS = {
     "a negative size": (ARRAY | {"shape": [-2]}, "the shape"),
     "objects": (ARRAY | {"dtype": "O"}, "no plain numbers"),
     "a program": (ARRAY | {"dtype": "(3,)f4, __import__('os')"}, "kind"),
+    "sides past counting": (ARRAY | {"data": b"", "shape": [0, 2**62, 2**62]}, "the shape"),
+    "a kind that is a number": (ARRAY | {"dtype": 4}, "without a kind"),
     "no bytes": (ARRAY | {"data": "text"}, "without data"),
     "a kind of picture": ({"__image__": True, "format": "pkl", "data": b""}, "unknown format"),
     "a torn picture": ({"__image__": True, "format": "png", "data": b"x"}, "no png"),

@@ -169,10 +169,10 @@ def sentence(shown: ShownPair) -> str:
     return f"Seed {pair.first.seed}: {words[0]} with {first}, {words[1]} with {second}. {apart}"
 
 
-def explore_command(job: Job, cameras: Sequence[str]) -> str:
-    """The command that opens the episode of ``job``, of a policy with ``cameras``, on the page."""
+def explore_command(job: Job, streams: tuple[str, ...]) -> str:
+    """The command that opens the episode of ``job``, of a policy with ``streams``, on the page."""
     words = ["madviz", "explore", "--policy", checkpoint.shown(job.policy or "POLICY")]
-    words += ["--seed", str(job.seed), "--condition", condition_text(job.condition, cameras)]
+    words += ["--seed", str(job.seed), "--condition", condition_text(job.condition, streams)]
     return shlex.join(words)
 
 
@@ -200,7 +200,7 @@ def _html(shown: ShownPair, runner: Runner) -> str:
         f'<video controls loop muted playsinline preload="metadata" src="{film_url}"></video>'
         f"{drawn}{places_html(shown.first.looks, step, pair.first, runner)}"
         "<p>Open it in the explorer, the same seed and switches:</p>"
-        f"<p><code>{escape(explore_command(pair.second, cameras))}</code></p></details>"
+        f"<p><code>{escape(explore_command(pair.second, policy.spec.streams))}</code></p></details>"
     )
 
 

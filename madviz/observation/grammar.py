@@ -33,7 +33,7 @@ from madviz.errors import UserError, unknown
 from madviz.observation.ablation import KINDS, PLACE, Occlusion, by_sides
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement
-from madviz.subsets import camera_of
+from madviz.subsets import camera_of, cameras_of, mask_of
 from madviz.system.streams import say
 
 SAME = {"dropped": "off", "frozen": "freeze", **{row.button: kind for kind, row in KINDS.items()}}
@@ -85,11 +85,13 @@ def parse_what(what: str) -> Occlusion | None:
     kind = SAME.get(kind, kind)
     if kind == DROPPED and not numbers:
         return None
-    known = [name for name in KINDS if name != "none"]
+    known: dict[str, tuple[str, ...]] = {n: row.uses for n, row in KINDS.items() if n != "none"}
     if kind not in known:
         raise unknown("failure", kind, [DROPPED, *known])
-    most = 1 + len(PLACE) if kind == "patch" else 1
-    if len(numbers) not in (0, 1, most):
+    uses = known[kind]
+    if numbers and not uses:
+        raise UserError(f"expected {kind!r} alone, for it has no strength; found {what!r:.60}")
+    if len(numbers) not in (0, 1, len(uses)):
         raise UserError(
             f"expected a strength after {kind!r}, and of a patch its {', '.join(PLACE)}, as in "
             f"patch:1:0.3:0.5:0.4:0.2; found {what!r:.60}"
@@ -131,12 +133,16 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     dropped: list[str] = []
     occlusions: dict[str, Occlusion] = {}
     moves: dict[str, Displacement] = {}
+    axes: set[tuple[str, str]] = set()
     parts, begin = _beginning(word)
     for part in parts.split(","):
         if moved := _MOVED.fullmatch(part):
             name, axis, value = moved.groups()
             if name not in cameras:
                 raise unknown(f"camera in the condition {word!r:.60}:", name, list(cameras))
+            if (name, axis) in axes:
+                raise UserError(f"expected {name}.{axis} once in a condition, found {word!r:.60}")
+            axes.add((name, axis))
             moves[name] = replace(moves.get(name, Displacement()), **{axis: float(value)})
             continue
         if "=" in part or ":" not in part:
@@ -166,7 +172,7 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
         )
     present = "+".join(camera for camera in cameras if camera not in dropped) or "none"
     subset = subsets[0] if subsets else present if dropped else "all"
-    _check_present(word, subset, failing, cameras)
+    _check_present(word, subset, [*failing, *moves], cameras)
     if begin and (moves or subsets):
         found = "one that is moved" if moves else f"the subset {subsets[0]!r}"
         raise UserError(
@@ -176,13 +182,14 @@ def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     return Condition(subset, tuple(occlusions.items()), tuple(moves.items()), begin)
 
 
-def condition_text(condition: Condition, cameras: Sequence[str]) -> str:
+def condition_text(condition: Condition, streams: tuple[str, ...]) -> str:
     """The condition in the grammar again, as briefly as it can be said, of a policy with
-    ``cameras``."""
+    ``streams``."""
     parts = [] if condition.subset == "all" else [condition.subset]
     if condition.begin:
-        present = {camera_of(name) for name in condition.subset.split("+")} | {"all"}
-        gone = [] if condition.subset == "all" else [c for c in cameras if c not in present]
+        mask = mask_of(condition.subset, streams)
+        present = {camera_of(name) for name, on in zip(streams, mask, strict=True) if on}
+        gone = [camera for camera in cameras_of(streams) if camera not in present]
         parts = [f"{camera}={DROPPED}" for camera in gone]
     parts += [failure_text(camera, occlusion) for camera, occlusion in condition.occlusions]
     plain = asdict(Displacement())
@@ -203,17 +210,17 @@ def _beginning(word: str) -> tuple[str, int]:
     return parts, int(step or 0)
 
 
-def _check_present(word: str, subset: str, failing: Sequence[str], cameras: Sequence[str]) -> None:
-    """Raises UserError where a camera of ``failing`` is not in ``subset``: nothing would happen."""
+def _check_present(word: str, subset: str, names: Sequence[str], cameras: Sequence[str]) -> None:
+    """Raises UserError where a camera of ``names`` is not in ``subset``: nothing would happen."""
     words = {camera_of(name.strip()) for name in subset.split("+")}
     if words & {"all", "rgb", "depth"}:
         return
-    for name in failing:
+    for name in names:
         if not words & ({*cameras} if name == "all" else {name}):
             raise UserError(
-                f"condition {word!r:.60}: expected a failure of a camera that is present, found "
-                f"{name!r}, which {subset!r:.60} leaves out; add it to the subset, or leave its "
-                "failure out"
+                f"condition {word!r:.60}: expected a camera that is present to fail or to move, "
+                f"found {name!r}, which {subset!r:.60} leaves out; add it to the subset, or leave "
+                "out what happens to it"
             )
 
 
@@ -225,6 +232,7 @@ def failure_text(camera: str, occlusion: Occlusion | None, begin: int | None = N
 
 
 def _what_text(occlusion: Occlusion) -> str:
+    occlusion = occlusion.effective  # Without what a slider of another kind was left at.
     numbers = "" if occlusion.strength == 1 else f":{occlusion.strength:g}"
     place = [round(getattr(occlusion, name), 3) for name in PLACE]
     if occlusion.kind == "patch" and place != [getattr(Occlusion(), name) for name in PLACE]:

@@ -124,11 +124,12 @@ class Scenario:
     spans: tuple[FailureSpan, ...]
 
     def schedule(self, env: EnvSpec) -> Schedule:
-        """The events for the cameras and the horizon of ``env``."""
+        """The events for the cameras and the horizon of ``env``; what begins after its end is left
+        out."""
         events: list[Event] = []
         for span in self.spans:
-            if span.camera < len(env.cameras):
-                begin = round(span.begin * env.horizon)
+            begin = round(span.begin * env.horizon)
+            if span.camera < len(env.cameras) and begin < env.horizon:
                 end = None if span.end is None else max(round(span.end * env.horizon), begin + 1)
                 camera = env.cameras[span.camera].name
                 occlusion = parse_what(span.what)
@@ -145,7 +146,7 @@ SCENARIOS = (
     ),
     Scenario(
         "taking turns",
-        "Every camera is lost for a while, never two at once.",
+        "One camera after another is lost and comes back, at most four.",
         tuple(FailureSpan(p, "off", 0.1 + 0.2 * p, 0.3 + 0.2 * p) for p in _PLACES[:4]),
     ),
     Scenario(

@@ -42,6 +42,11 @@ def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) 
         frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
     else:
         frame = view.rgb
+    if frame.shape[0] != frame.shape[1]:
+        raise UserError(
+            f"expected a square picture of {camera_of(stream)}, found {frame.shape[0]} x "
+            f"{frame.shape[1]}; let {env.task} add bars or crop it"
+        )
     if frame.shape[0] != size:
         frame = cv2.resize(frame, (size, size), interpolation=cv2.INTER_AREA)
         frame = frame.reshape(size, size, -1)

@@ -41,21 +41,27 @@ def card_text(folder: str | Path) -> str:
     evaluation = checkpoint.own_evaluation(policy) if measured else None
     origin = origin_of(policy.path)
     sections = [
-        _head(policy.config, policy.path.resolve().name),
-        _success(evaluation, policy.spec.name, policy.config.task),
+        _head(policy.config, _reference(policy)),
+        _success(evaluation, _reference(policy), policy.config.task),
         _inputs(policy.config, policy.path),
-        _training(policy.config.training, policy.path.name, origin),
+        _training(policy.config.training, policy.path.resolve().name, origin),
         f"Digest of weights and config: `{policy.spec.digest}`.",
         _source(policy.config.task, origin),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def _head(config: PolicyConfig, folder: str) -> str:
+def _reference(policy: checkpoint.PolicyFolder) -> str:
+    """The name that opens these very files: an included policy's own, else the folder's, from where
+    that one is."""
+    path = policy.path.resolve()
+    known = checkpoint.policy_folders().get(policy.config.name)
+    return policy.config.name if known and known.resolve() == path else path.name
+
+
+def _head(config: PolicyConfig, name: str) -> str:
     recorded = is_recording(config.task)
     source = f" --recording {config.task.partition('/')[2]}" if recorded else ""
-    # Recordings have no included policies: its folder names it, from the one that holds it.
-    name = folder if recorded else config.name
     return (
         f"# {config.name}\n\n"
         f"Task `{config.task}`, method `{config.method}`, setting `{config.setting}`, "

@@ -94,10 +94,13 @@ def _text(key: str | bytes) -> str:
 
 def _array(table: dict[str, Any]) -> Array:
     data = table.get("data")
-    kind = _text(table.get("dtype") or "")
+    named = table.get("dtype")
     shape = table.get("shape")
     if not isinstance(data, bytes) or not isinstance(shape, list):
         raise BadMessage("an array without data or shape")
+    if not isinstance(named, str | bytes):
+        raise BadMessage("an array without a kind")
+    kind = _text(named)
     try:
         dtype = np.dtype(kind)
     except (TypeError, ValueError, SyntaxError) as error:
@@ -108,7 +111,10 @@ def _array(table: dict[str, Any]) -> Array:
         raise BadMessage(f"an array of the shape {shape!r:.60}")
     if math.prod(shape) * dtype.itemsize != len(data):
         raise BadMessage(f"an array of the shape {shape!r:.60} in {len(data)} bytes")
-    return np.frombuffer(data, dtype).reshape(shape).copy()
+    try:
+        return np.frombuffer(data, dtype).reshape(shape).copy()
+    except (ValueError, OverflowError) as error:  # No bytes, and sides that numpy cannot count.
+        raise BadMessage(f"an array of the shape {shape!r:.60}") from error
 
 
 def _picture(table: dict[str, Any]) -> Array:
