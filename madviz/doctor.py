@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from madviz.envs.custom import is_own
-from madviz.envs.registry import RenderProfile, TaskName, env_spec, make_env
+from madviz.envs.registry import RenderProfile, TaskName, check_task, env_spec, make_env
 from madviz.errors import UserError
 from madviz.recorded.storage import cache_bytes, clear_cache, recordings_cache
 from madviz.system.browser import find_browser
@@ -97,7 +97,9 @@ def check_opengl(probe: Callable[[str], dict[str, str] | None], chosen: str = "e
         answer = probe(backend)
         needed = backend == chosen
         if answer is None:
-            checks.append(Check(label, "", needed, install_line(backend)))
+            other = os.environ.get("PYOPENGL_PLATFORM", backend) not in ("", backend)
+            fix = "unset PYOPENGL_PLATFORM" if needed and other else install_line(backend)
+            checks.append(Check(label, "", needed, fix))
             continue
         checks.append(Check(label, answer["renderer"], needed))
         mesa = mesa or mesa_version(answer["version"])
@@ -216,7 +218,9 @@ def time_frames(
 
 
 def examine(config: DoctorConfig) -> dict[str, Any]:
-    """The whole report. Key ``ok`` is True if nothing that madviz needs is missing."""
+    """The whole report. Key ``ok`` is True if nothing that madviz needs is missing. Raises
+    UserError for an unknown task."""
+    check_task(config.task)
     checks = [check_cpu(), *check_packages()]
     checks += check_opengl(probe_opengl, os.environ.get("MUJOCO_GL", "egl"))
     checks += [check_vulkan(), check_browser(), *check_recordings(config.clear_recordings)]

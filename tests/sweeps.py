@@ -34,13 +34,14 @@ if verb == "train":
         time.sleep(int(option("--threads")) / 1000)
         with steps.open("a") as file:
             file.write(f"{step}\\n")
+    (out / "resume" / "finished").touch()
     (out / "config.json").write_text(json.dumps({"training": {"finished": True}}))
     with (out / "trained.txt").open("a") as file:
         file.write("once\\n")
 else:
     policy = Path(option("--policy"))
     row = {"success": 0.5, "n": int(option("--episodes")), "ci95": [0.2, 0.8]}
-    (policy / "evaluation.json").write_text(json.dumps({"subsets": {"all": row}}))
+    Path(option("--json")).write_text(json.dumps({"subsets": {"all": row}}))
     with (policy / "evaluated.txt").open("a") as file:
         file.write("once\\n")
 """

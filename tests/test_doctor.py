@@ -12,6 +12,7 @@ import pytest
 
 from madviz import doctor
 from madviz.doctor import Check, DoctorConfig, check_opengl, check_packages, describe_cpu
+from madviz.errors import UserError
 
 MESA = {"version": "4.5 (Compatibility Profile) Mesa 25.0.7-2", "renderer": "llvmpipe"}
 
@@ -30,6 +31,20 @@ def test_only_the_chosen_back_end_is_needed() -> None:
     checks = by_name(check_opengl(lambda backend: MESA if backend == "osmesa" else None, "osmesa"))
     assert not checks["EGL"].needed and checks["OSMesa"].needed
     assert "apt-get install" in checks["EGL"].fix and "libegl1" in checks["EGL"].fix
+
+
+def test_a_variable_that_stands_against_the_back_end_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
+    checks = by_name(check_opengl(lambda backend: None))
+    assert checks["EGL"].fix == "unset PYOPENGL_PLATFORM"
+    assert "apt-get" in checks["OSMesa"].fix
+
+
+def test_a_task_that_is_none_is_a_mistake_and_nothing_is_missing() -> None:
+    with pytest.raises(UserError, match="unknown task"):
+        doctor.examine(doctor.DoctorConfig(task="metaworld/hamer"))
 
 
 def test_an_old_mesa_is_named_with_the_line_that_replaces_it() -> None:

@@ -50,6 +50,17 @@ def test_what_a_kill_left_half_written_goes_when_the_run_goes_on(tmp_path: Path)
     assert files(tmp_path) == {"run.json", "state.pt"}
 
 
+@pytest.mark.parametrize("bad", [b'{"a"', b"garbage", b"PK\x03\x04" + bytes(3000)])
+def test_files_of_a_run_that_are_damaged_are_named(tmp_path: Path, bad: bytes) -> None:
+    folder = RunFolder(tmp_path / "run", {"seed": 1}, resume=False, listener=None)
+    (folder.resume / "state.pt").write_bytes(bad)
+    with pytest.raises(UserError, match="state.pt: expected the state of a run"):
+        folder.load_state()
+    (folder.resume / "run.json").write_bytes(bad)
+    with pytest.raises(UserError, match="run.json: expected a JSON file"):
+        RunFolder(tmp_path / "run", {"seed": 1}, resume=True, listener=None)
+
+
 def test_a_curve_has_whole_rows(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "run", {"seed": 1}, resume=False, listener=None)
     folder.report("curve", step=1, loss=0.5)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,16 @@ import pytest
 from madviz import cli
 from madviz.errors import UserError
 from madviz.sweep import sweep
-from madviz.sweep.run import CLAIM, Run, RunOutcome, carry_out, expected_seconds
+from madviz.sweep.run import (
+    CLAIM,
+    Run,
+    RunOutcome,
+    carry_out,
+    check_same,
+    expected_seconds,
+    result_rows,
+    trained,
+)
 from madviz.sweep.sweep import LocalBackend, Watch, carry_all_out, run_sweep
 from madviz.sweep.sweep_plan import read_plan
 from madviz.system.lock import locked
@@ -74,6 +84,38 @@ def test_a_folder_of_other_options_is_refused_before_anything_runs(
     run_sweep(config(tmp_path, seeds="[1]", jobs=2), program)
     with pytest.raises(UserError, match="--light.rounds 9.*found one of.*--light.rounds 3"):
         run_sweep(config(tmp_path, seeds="[1]", rounds=9), program)
+
+
+def test_options_of_a_command_that_did_nothing_yet_may_be_corrected(
+    tmp_path: Path, program: list[str]
+) -> None:
+    (wrong, *_) = read_plan(sweep_file(tmp_path, seeds="[1]"))
+    typo = replace(wrong, evaluate=("--subsets", "frist"))  # The stand-in wants --episodes.
+    assert carry_out(typo, tmp_path / "out", program).state == "failed"
+    assert carry_out(wrong, tmp_path / "out", program).state == "finished"
+    folder = tmp_path / "out" / wrong.name
+    assert lines(folder, "trained.txt") == ["once"]
+    with pytest.raises(UserError, match="madviz eval"):
+        check_same(folder, typo)
+
+
+def test_a_result_has_what_its_evaluation_measured(tmp_path: Path, program: list[str]) -> None:
+    (run, *_) = read_plan(sweep_file(tmp_path, seeds="[1]"))
+    folder = tmp_path / "out" / run.name
+    (folder / "policy").mkdir(parents=True)
+    (folder / "policy" / "evaluation.json").write_text('{"subsets": {"other": {}}}')
+    assert carry_out(run, tmp_path / "out", program).state == "finished"
+    assert list(result_rows(folder)) == ["all"]
+
+
+def test_a_training_whose_last_evaluation_is_due_is_not_over(tmp_path: Path) -> None:
+    (tmp_path / "resume").mkdir()
+    (tmp_path / "config.json").write_text('{"training": {"finished": true}}')
+    assert trained(tmp_path)
+    (tmp_path / "resume" / "run.json").write_text("{}")
+    assert not trained(tmp_path)
+    (tmp_path / "resume" / "finished").touch()
+    assert trained(tmp_path)
 
 
 def test_a_training_that_ended_early_is_a_failure(tmp_path: Path) -> None:

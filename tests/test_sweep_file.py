@@ -104,6 +104,10 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nepisodes = "many"\n',
             "expected 'eval.episodes' to be a whole number or nothing, found 'many'",
         ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nsubsets = ["frist"]\n',
+            "unknown camera subset 'frist'; did you mean first",
+        ),
     ],
 )
 def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ import dataclasses
 import errno
 import json
 import os
+import pickle
 import shutil
 import signal
 import threading
@@ -31,7 +32,7 @@ import torch
 
 from madviz.errors import Terminated, UserError
 from madviz.policies.checkpoint import CONFIG
-from madviz.system.files import PART, read_rows, replacing, write_bytes
+from madviz.system.files import PART, read_json, read_rows, replacing, write_bytes
 from madviz.system.lock import locked
 
 Event = dict[str, Any]
@@ -116,7 +117,7 @@ class RunFolder:
             raise UserError(
                 f"{self.path} holds a policy that was not trained here; choose another --out"
             )
-        changed = changes(json.loads(file.read_text()), described) if resume else []
+        changed = changes(read_json(file), described) if resume else []
         if changed:
             raise UserError(
                 f"the run in {self.path} has another configuration: {', '.join(changed)}; "
@@ -160,9 +161,17 @@ class RunFolder:
 
     def load_state(self) -> dict[str, Any] | None:
         """The last whole state, in this computer's memory; None for a new run. Never unpickles
-        objects."""
+        objects. Raises UserError for a file that is none."""
         file = self.resume / "state.pt"
-        return torch.load(file, "cpu", weights_only=True) if file.exists() else None
+        if not file.exists():
+            return None
+        try:
+            return torch.load(file, "cpu", weights_only=True)
+        except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+            raise UserError(
+                f"{file}: expected the state of a run, found something else; restore it, or choose "
+                "another --out"
+            ) from error
 
     def report(self, kind: str, **values: Any) -> None:
         """Tells the listener; rows of kind ``curve`` are also appended to curve.csv."""

@@ -4,6 +4,7 @@
     OUT/NAME/policy/         the policy folder, and what its training needs to be resumed
     OUT/NAME/log.txt         everything the two commands printed
     OUT/NAME/claim           locked while a process works here
+    OUT/NAME/measured.json   what its evaluation wrote, until the result is there
     OUT/NAME/result.json     written last, whole or not at all: the run is finished
 
 All state is in the folder, so any process may carry a run out at any time: the same sweep again
@@ -30,13 +31,14 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from madviz.errors import UserError
-from madviz.policies.checkpoint import CONFIG, EVALUATION, IN_RUN
+from madviz.policies.checkpoint import CONFIG, IN_RUN
 from madviz.policies.measured import RateRow
 from madviz.system.files import read_json, read_rows, write_json
 from madviz.system.lock import locked
 from madviz.system.typed import typed
 
 RESULT = "result.json"
+MEASURED = "measured.json"
 WORDS = "run.json"
 LOG = "log.txt"
 CLAIM = "claim"
@@ -117,13 +119,19 @@ def broken(folder: Path) -> str:
 
 
 def check_same(folder: Path, run: Run) -> None:
-    """Raises UserError if ``folder`` holds a run of that name with other options."""
+    """Raises UserError if ``folder`` holds a run of that name with other options, as far as they
+    were carried out: those of a command that did nothing yet may be corrected."""
     before = _words_before(folder)
     if before is None:
         return
-    for command, asked in (("train", run.train), ("eval", run.evaluate)):
+    policy = folder / IN_RUN
+    began = (policy / CONFIG).is_file() or (policy / "resume" / "run.json").is_file()
+    for command, asked, done in (
+        ("train", run.train, began),
+        ("eval", run.evaluate, finished(folder)),
+    ):
         options = before.get(command, [])
-        if options != list(asked):
+        if done and options != list(asked):
             raise UserError(
                 f"{folder}: expected a run of `madviz {command} {shlex.join(asked)}`, found one of "
                 f"`madviz {command} {shlex.join(options)}`; choose another --out"
@@ -185,17 +193,22 @@ def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> N
         if not trained(policy):
             raise UserError(f"training ended before it was finished; see {folder / LOG}")
     extra = [] if workers is None else ["--workers", str(workers)]
-    commands.run("eval", "--policy", str(policy), *run.evaluate, "--card", *extra)
-    file = policy / EVALUATION
+    file = folder / MEASURED  # The card may have other seeds, or subsets measured before.
+    options = ["--policy", str(policy), *run.evaluate, "--card", "--json", str(file), *extra]
+    commands.run("eval", *options)
     evaluation = read_json(file)
     typed(evaluation, RunResult, file, FIX)
     result = {"schema": 1, "name": run.name, **run.words(), "subsets": evaluation["subsets"]}
     write_json(folder / RESULT, result)
+    file.unlink()
 
 
 def trained(policy: Path) -> bool:
-    """Whether the policy's config says that its training reached the end."""
-    if not (policy / CONFIG).is_file():
+    """Whether the policy's config says that its training reached the end, and no more of it, such
+    as its last evaluation, is to be resumed."""
+    resume = policy / "resume"
+    goes_on = (resume / "run.json").is_file() and not (resume / "finished").is_file()
+    if goes_on or not (policy / CONFIG).is_file():
         return False
     config = typed(read_json(policy / CONFIG), TrainedConfig, policy / CONFIG, FIX)
     return bool(config.get("training", {}).get("finished", True))

@@ -36,6 +36,7 @@ import msgspec
 from madviz.agent.methods import method
 from madviz.envs.registry import check_task, setting
 from madviz.errors import UserError, unknown
+from madviz.subsets import mask_of
 from madviz.sweep.run import Run
 from madviz.system.files import read_toml
 from madviz.system.options import options as options_of
@@ -88,6 +89,9 @@ def read_plan(file: str | Path) -> tuple[Run, ...]:
     evaluation = tuple(words_for(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}
     for grid in asked.grid if isinstance(asked.grid, list) else [asked.grid]:
+        for where in grid.settings:
+            for subset in asked.eval.subsets or ():
+                mask_of(subset, setting(where).streams)
         for run in _expand(path, grid, evaluation):
             if runs.setdefault(run.name, run) != run:
                 raise UserError(

@@ -337,13 +337,16 @@ def with_recording(config: TrainConfig) -> TrainConfig:
 
 def command(config: TrainConfig, given_away: bool = True) -> str:
     """The line that trains this policy again; if it is ``given_away``, with the last part alone of
-    the path of recordings."""
+    the path of recordings, and of paths from the root."""
     usual = TrainConfig(own=type(config.own).of_recipe(config.recipe))
     asked: dict[str, Any] = {"task": config.task, "method": config.method, "recipe": config.recipe}
     asked |= changed(replace(config, out=None, resume=False), usual)
     if config.recording is not None:
         del asked["task"]
         asked["recording"] = config.task.partition("/")[2] if given_away else config.recording
+    for name in ("cameras", "light.episodes"):
+        if given_away and Path(asked.get(name) or "").is_absolute():
+            asked[name] = Path(asked[name]).name
     here = (None, config.recipe)
     words = words_for({name: value for name, value in asked.items() if recipe_of(name) in here})
     return shlex.join(["madviz", "train", *words])
