@@ -27,6 +27,7 @@ from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.training.config import TrainConfig, resolve
 from madviz.training.paper import ShiftingPolicy
 from madviz.training.vectorised import VectorisedConfig
+from madviz.types import Array, TimeStep
 from tests.fakes import FakePolicy, random_policy
 from tests.recipe_runs import assert_same_run, curve, last_state, stops_at
 
@@ -197,6 +198,39 @@ def test_lanes_play_together_what_evaluations_play_one_at_a_time(
         assert all(frame.any() for lane in range(3) for frame in envs.frames(lane))
     finally:
         envs.close()
+
+
+class Early(ToyReach):
+    """Ends at its seed's last two digits, in success; then its hand is driven off."""
+
+    def reset(self, seed: int) -> TimeStep:
+        self._ends = seed % 100
+        return super().reset(seed)
+
+    def step(self, action: Array) -> TimeStep:
+        now = super().step(action)
+        return replace(now, success=self._step == self._ends, last=self._step >= self._ends)
+
+
+def test_a_lane_that_ends_before_others_counts_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DrawnTask, "build", lambda self: Early())
+    spec = replace(FakePolicy().spec, streams=STREAMS)
+    policy = random_policy(spec, NetworkConfig(state_dim=6, action_dim=2, hidden_dim=8))
+    jobs = [(np.ones(3, bool), 1005), (np.ones(3, bool), 1009)]
+    envs = VectorEnvs(TASK, board(2), lanes=2, workers=0)
+    together = envs.play(policy, jobs, lambda: False)
+    envs.close()
+    for one, (mask, seed) in zip(together, jobs, strict=True):
+        alone = run_episode(policy, Early(), mask, Ablation(), seed)
+        assert one.success and one.total_reward == pytest.approx(alone.total_reward, rel=1e-5)
+
+
+def test_a_training_whose_lanes_end_apart_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(DrawnTask, "build", lambda self: Early())
+    with pytest.raises(UserError, match="equally long, found one that ended before the others"):
+        run(tmp_path / "run", replace(TINY, eval_episodes=0))
 
 
 def test_lanes_draw_only_what_an_episode_sees(monkeypatch: pytest.MonkeyPatch) -> None:

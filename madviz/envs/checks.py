@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.types import Array, CameraSpec
+from madviz.types import Array, CameraSpec, Environment, EnvSpec
 
 MAX_SIZE = 512
 """The largest view in pixels; policies and the page need no more."""
@@ -23,6 +23,38 @@ def check_action(action: Array, action_dim: int) -> None:
             f"expected a finite action of {action_dim} numbers in [-1, 1], found "
             f"{numbers.tolist()}; the policy that produced it is broken: reset, or pick another"
         )
+
+
+def check_state(state: Array, spec: EnvSpec) -> None:
+    """Raises UserError unless ``state`` is (S,), as ``spec`` says; whoever plays an episode calls
+    it at the first step."""
+    if np.shape(state) != (spec.state_dim,):
+        raise UserError(
+            f"expected {spec.task} to give {spec.state_dim} state numbers, as its spec says, found "
+            f"the shape {np.shape(state)}; make the two alike"
+        )
+
+
+def check_ends(spec: EnvSpec, decisions: int, last: bool) -> None:
+    """Raises UserError for an episode that goes on after the ``decisions`` that it may have."""
+    if decisions >= spec.horizon and not last:
+        raise UserError(
+            f"expected {spec.task} to say last=True after its {spec.horizon} decisions, found an "
+            "episode that goes on; make its step and its horizon agree"
+        )
+
+
+def expert_action(env: Environment) -> Array:
+    """(A,): the decision of the task's expert. Raises UserError for a task that has none."""
+    try:
+        return env.expert()
+    except UserError:
+        raise
+    except Exception as error:  # A task of one's own may raise anything.
+        raise UserError(
+            f"expected an expert of {env.spec.task}, found {type(error).__name__}: {error}; give "
+            "it one, or train by rewards (--recipe paper)"
+        ) from error
 
 
 def largest_view(render_profile: str) -> int:

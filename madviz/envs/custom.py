@@ -15,8 +15,10 @@ environment variable because worker processes inherit those: what is known here 
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 
+from madviz.envs.cameras import RESERVED
 from madviz.envs.checks import resized_cameras
 from madviz.errors import UserError
 from madviz.system.plugins import made_by
@@ -77,12 +79,38 @@ def make_own(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) ->
             f"{task} draws with the render profile {spec.render_profile!r} alone, found "
             f"{render_profile!r}; pick the former"
         )
-    made.spec = replace(spec, cameras=resized_cameras(task, spec.cameras, cameras))
+    try:
+        made.spec = replace(spec, cameras=resized_cameras(task, spec.cameras, cameras))
+    except AttributeError as error:
+        raise UserError(
+            f"{task}: expected an attribute spec that can be set, found none ({error}); set "
+            "self.spec where it is made"
+        ) from error
     return made
 
 
 def _made(task: str) -> Environment:
     """A new environment of the factory; ``_SPECS`` has its spec."""
     made = made_by(task, Environment)
+    _check_spec(task, made.spec)
     _SPECS[task] = replace(made.spec, task=task)
     return made
+
+
+def _check_spec(task: str, spec: EnvSpec) -> None:
+    """Raises UserError for cameras that no subset could name, and for columns of the state that it
+    does not have."""
+    names = [camera.name for camera in spec.cameras]
+    for name in names:
+        if name in RESERVED or not re.fullmatch(r"\w{1,40}", name) or names.count(name) > 1:
+            raise UserError(
+                f"{task}: expected cameras whose names have letters, digits and _ alone, each "
+                f"once, none of them {', '.join(RESERVED)}; found {name!r:.60}; rename it"
+            )
+    pairs = [number for pair in spec.state_changes for number in pair]
+    for number in (*spec.paper_state, *spec.start_state, *pairs):
+        if not 0 <= number < spec.state_dim:
+            raise UserError(
+                f"{task}: expected state numbers from 0 to {spec.state_dim - 1} in paper_state, "
+                f"start_state and state_changes, found {number}"
+            )

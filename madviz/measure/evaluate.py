@@ -126,7 +126,8 @@ def evaluate(
     """Runs the seeds ``seed`` to ``seed + episodes - 1`` on every one of ``subsets``.
 
     ``policy`` is a path, a name, ``module:factory``, or a policy itself, which then runs in this
-    process. ``workers`` is the number of processes, by default one per core; 0 is none but this.
+    process. ``workers`` is the number of processes, by default one per core; 0 is none but this. A
+    script with processes needs ``if __name__ == "__main__":`` around the call.
     ``store`` answers for episodes it has seen, of policy folders only, and stores the new ones.
     Raises UserError for names that are unknown and subsets the policy cannot act on, and Unfinished
     with the Evaluation so far where a policy or a machine fails on the way.
@@ -180,7 +181,10 @@ def _subsets(policy: Policy, subsets: Iterable[str] | None) -> tuple[str, ...]:
     streams = policy.spec.streams
     masks = [mask_of(name, streams) for name in subsets or default_subsets(policy.spec)]
     if not subsets:
+        cannot = [name_of(mask, streams) for mask in masks if not policy.supports(mask)]
         masks = [mask for mask in masks if policy.supports(mask)]
+        if cannot:
+            say(f"{policy.spec.name} cannot act on {', '.join(dict.fromkeys(cannot))}: left out")
     for mask in masks:
         if not policy.supports(mask):
             raise unsupported(policy.spec, mask)

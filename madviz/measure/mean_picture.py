@@ -11,6 +11,7 @@ steps 0, 20, 40, 60 and 80. The seeds are selection seeds (``policies/seeds.py``
 reported rate is measured on. The same environment gives the same picture to the bit, so worker
 processes make theirs by themselves, once each. On Meta-World that takes some seconds.
 
+A task of one's own that has no expert is moved at random.
 On recordings they are those of about eight training episodes, five or more steps of each.
 """
 
@@ -21,6 +22,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from madviz.envs.checks import expert_action
+from madviz.envs.custom import is_own
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
 from madviz.observation.streams import IMAGE_SIZE, MeanPictures, StreamStack, stream_frame
@@ -28,7 +31,7 @@ from madviz.policies.seeds import FIRST_SELECTION
 from madviz.recorded.known import recordings_of
 from madviz.recorded.recordings import Recordings
 from madviz.subsets import camera_of, cameras_of
-from madviz.types import EnvSpec, PolicySpec
+from madviz.types import Environment, EnvSpec, PolicySpec
 
 FIRST_SEED = FIRST_SELECTION + 900
 """The last hundred selection seeds: evaluations while a policy trains use the first ones."""
@@ -47,15 +50,26 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE
     with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
         for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
             world.reset(seed)
+            rng = np.random.default_rng(seed)
             for step in range(max(steps) + 1):
                 if step in steps:
                     views = {camera: world.view(camera) for camera in cameras_of(streams)}
                     for stream in streams:
                         frame = stream_frame(views[camera_of(stream)], stream, world.spec, size)
                         sums[stream] = sums.get(stream, 0.0) + frame.astype(np.float64)
-                world.step(world.expert())
+                world.step(_movement(world, rng))
     count = EPISODES * len(steps)
     return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}
+
+
+def _movement(world: Environment, rng: np.random.Generator) -> np.ndarray:
+    """(A,): the expert's decision, or a random one of a task of one's own that has none."""
+    try:
+        return expert_action(world)
+    except UserError:
+        if not is_own(world.spec.task):
+            raise
+        return rng.uniform(-1, 1, world.spec.action_dim).astype(np.float32)
 
 
 def recorded_means(

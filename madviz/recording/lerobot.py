@@ -36,6 +36,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
+from madviz.envs.checks import expert_action
 from madviz.errors import UserError
 from madviz.guard.policy import GuardedPlayer
 from madviz.measure.mean_picture import stack_of
@@ -92,7 +93,7 @@ def expert_decisions(
         stack.push({one.name: env.view(one.name) for one in env.spec.cameras}, intact, seed, step)
         pictures = stack.newest
         state = now.state
-        action = env.expert()
+        action = expert_action(env)
         now = env.step(np.clip(action + next(pushed), -1, 1).astype(np.float32))
         yield Decision(pictures, everything, state, action, now.reward, now.success)
         if now.last:

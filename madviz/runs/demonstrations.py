@@ -25,6 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from madviz.envs.checks import check_state, expert_action
 from madviz.errors import UserError
 from madviz.measure.episodes import one_thread
 from madviz.observation.ablation import Ablation
@@ -111,12 +112,13 @@ def record_episode(
     pushed = slow_noise(rng, driver.noise_spread, env.spec.action_dim)
     frames: dict[str, list[Array]] = {stream: [] for stream in streams}
     now = env.reset(seed)
+    check_state(now.state, env.spec)
     for step in range(env.spec.horizon):
         views = {camera: env.view(camera) for camera in cameras}
         for stream in streams:
             frame = stream_frame(views[camera_of(stream)], stream, env.spec)
             frames[stream].append(np.ascontiguousarray(frame.transpose(2, 0, 1)))
-        action = label = env.expert()
+        action = label = expert_action(env)
         student_drives = rng.random() >= driver.expert_share
         if driver.student is not None:
             stack.push(views, Ablation(), seed, step)

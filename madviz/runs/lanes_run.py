@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from madviz.agent.agent import TorchPolicy
+from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.runs.recipe_options import RunConfig
 from madviz.runs.reward_run import RewardRun
@@ -117,7 +118,13 @@ def advance(
         learn()
     finally:
         envs.receive()  # Whatever happened, no answer may be left in a pipe.
-    last = bool(envs.board["last"].all())
+    ended = envs.board["last"]
+    last = bool(ended.all())
+    if ended.any() and not last:
+        raise UserError(
+            f"expected episodes of {run.plan.env.task} that are equally long, found one that ended "
+            "before the others; train it with --recipe paper"
+        )
     discount = run.discount_of(last)
     for lane in lanes:
         reward = float(envs.board["reward"][lane])

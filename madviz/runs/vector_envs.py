@@ -176,21 +176,25 @@ class VectorEnvs:
         self._wait()
         # An episode's first frame stands for those before it.
         views = np.tile(self._newest(count), (1, 1, policy.spec.frame_stack, 1, 1))
+        success = board["success"][:count].copy()
         success_any = np.zeros(count, bool)
         total = np.zeros(count)
-        while not board["last"][:count].all():
+        running = ~board["last"][:count]
+        while running.any():  # A lane whose episode is over is stepped on, and counts no more.
             if stop():
                 raise Stopped
             self.send(policy.act_together(views, board["state"][:count], masks))
             self.receive()
             views = np.concatenate([views[:, :, 3:], self._newest(count)], 2)
-            success_any |= board["success"][:count]
-            total += board["reward"][:count]
+            success[running] = board["success"][:count][running]
+            success_any |= board["success"][:count] & running
+            total += np.where(running, board["reward"][:count], 0.0)
+            running &= ~board["last"][:count]
         return [
             EpisodeResult(
                 name_of(mask, self._streams),
                 seed,
-                success=bool(board["success"][lane]),
+                success=bool(success[lane]),
                 success_any=bool(success_any[lane]),
                 total_reward=float(total[lane]),
             )

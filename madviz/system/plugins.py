@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from traceback import extract_tb
 from typing import Any, get_type_hints
 
 from madviz.errors import UserError
@@ -23,10 +25,19 @@ def made_by(reference: str, protocol: type) -> Any:
     where the result lacks a part that ``protocol`` has, or has another kind of ``spec``."""
     try:
         with _importable_from_here():
-            made = load(reference)()
+            factory = load(reference)
     except (ImportError, AttributeError, ValueError, TypeError) as error:
         raise UserError(
             f"{reference}: expected module:factory that can be imported from here, found: {error}"
+        ) from error
+    try:
+        with _importable_from_here():
+            made = factory()
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        where = extract_tb(error.__traceback__)[-1]
+        raise UserError(
+            f"{reference}: the factory was found and failed: {type(error).__name__}: {error} "
+            f"({Path(where.filename).name}, line {where.lineno})"
         ) from error
     parts = [*protocol.__annotations__, *vars(protocol)]
     lacking = [part for part in parts if part[0] != "_" and not hasattr(made, part)]

@@ -48,6 +48,9 @@ INSTRUCTIONS = {
 class LeRobotMetaWorld(MetaWorld):
     """One task, see the module."""
 
+    _unused: Array | None = None
+    """MuJoCo's state before the first episode."""
+
     @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
         own = tuple(CORNER if one.name == CORNER.name else one for one in CAMERAS)
@@ -63,6 +66,16 @@ class LeRobotMetaWorld(MetaWorld):
         )
 
     def _begin(self, seed: int) -> TimeStep:
+        import mujoco  # With metaworld, not before.
+
+        # Its reset puts a goal where a body lay before: all must lie as in a new environment.
+        model, data = self._model, self._data
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        if self._unused is None:
+            self._unused = np.empty(mujoco.mj_stateSize(model, kind))
+            mujoco.mj_getState(model, data, self._unused, kind)
+        mujoco.mj_setState(model, data, self._unused, kind)
+        mujoco.mj_forward(model, data)
         self.simulation.seed(seed)
         self.observation, _ = self.simulation.reset()
         self._step = 0

@@ -31,6 +31,8 @@ class MuJoCoWorld(PlacedCameras):
         # Made when they are first asked for: many uses never draw.
         self._cameras: Any = None
         self._bodies: Any = None
+        self._looks = b""
+        """The colours, sizes and places in the model from which ``_bodies`` were made."""
 
     def moved(self) -> None:
         """Says that the data changed: the next view collects the scene again."""
@@ -67,8 +69,13 @@ class MuJoCoWorld(PlacedCameras):
             self._cameras = None
 
     def _drawn_bodies(self) -> Any:
-        if self._bodies is None:
+        model = self._model
+        geoms = (model.geom_rgba, model.geom_size, model.geom_pos, model.geom_quat)
+        others = (model.geom_matid, model.mat_rgba, model.site_rgba, model.site_size)
+        looks = b"".join(numbers.tobytes() for numbers in (*geoms, *others))
+        if self._bodies is None or looks != self._looks:
             from madviz.envs.mujoco.mujoco_bodies import MuJoCoBodies
 
-            self._bodies = MuJoCoBodies(self._model, self._data)
+            self._bodies = MuJoCoBodies(model, self._data)
+            self._looks = looks
         return self._bodies

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from madviz.envs.checks import expert_action
 from madviz.errors import UserError
 from madviz.measure.wiring.candidates import Candidate
 from madviz.observation.ablation import Ablation
@@ -89,7 +90,7 @@ def expert_looks(
                 for size, stack in stacks.items():
                     views = {camera: env.view(camera, size) for camera in cameras_of(spec.streams)}
                     stack.push(views, Ablation(), scene, step)
-            action = np.clip(env.expert(), -1, 1)
+            action = np.clip(expert_action(env), -1, 1)
             if step in steps:
                 pictures = {size: stack.views for size, stack in stacks.items()}
                 found.append(ExpertLook(pictures, now.state, action))
