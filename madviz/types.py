@@ -285,20 +285,15 @@ class PolicySpec:
     def __post_init__(self) -> None:
         """Raises UserError for streams that are none: others would be read as colour."""
         names = self.streams
-        each = isinstance(names, tuple) and all(
-            isinstance(name, str) and name.partition(".")[2] in ("", *get_args(Modality))
-            for name in names
-        )
-        if not each or not names or len(set(names)) < len(names):
+        kinds = {str(name).partition(".")[2] for name in names}
+        sound = isinstance(names, tuple) and kinds <= {"", *get_args(Modality)}
+        if not sound or not names or len(set(names)) < len(names):
             raise UserError(
                 f"{self.name}: expected streams as a tuple of cameras, each once, such as "
                 f"('first', 'third_a.depth'), found {names!r:.100}"
             )
-        if self.frame_stack < 1 or self.image_size < 1:
-            raise UserError(
-                f"{self.name}: expected frame_stack and image_size of 1 or more, found "
-                f"{self.frame_stack} and {self.image_size}"
-            )
+        if (least := min(self.frame_stack, self.image_size)) < 1:
+            raise UserError(f"{self.name}: expected 1 frame and pixel or more, found {least}")
 
 
 @runtime_checkable

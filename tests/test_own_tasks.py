@@ -144,3 +144,18 @@ def test_a_picture_of_lerobots_push_depends_on_its_seed_alone() -> None:
         env.close()
     for fresh, later in zip(*seen, strict=True):
         np.testing.assert_array_equal(fresh, later)
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"streams": ("first.rgb", "first.dept")},
+        {"streams": ("first", "first")},
+        {"streams": ()},
+        {"frame_stack": 0},
+        {"image_size": 0},
+    ],
+)
+def test_streams_of_a_policy_that_are_none_are_refused(facts: dict[str, Any]) -> None:
+    with pytest.raises(UserError, match="^toy-mad: expected"):
+        replace(FakePolicy().spec, **facts)

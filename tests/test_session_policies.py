@@ -469,3 +469,14 @@ def test_after_a_first_picture_that_did_not_come_the_seed_that_was_asked_for_beg
     frame = session.ask(command)
     assert (frame.world.seed, frame.world.step, env.taken) == (2007, 0, 5)
     assert not frame.pace.error and session.ask(StepOnce()).world.step == 1
+
+
+def test_an_episode_that_cannot_begin_is_passed_by():
+    """As one of a recording that cannot be decoded: *next* leads on, and not to it again."""
+    env = Blind()
+    session = Recorder(env_factory=lambda *_: env)
+    session.at(0.0)
+    env.blind = True
+    assert session.ask(Reset(next_seed=True)).pace.error
+    env.blind = False
+    assert session.ask(Reset(next_seed=True)).world.seed == 2002

@@ -141,9 +141,8 @@ def run_episode(
             check_ends(env.spec, decision, now.last)
         outside += getattr(player, "outside", 0)  # A player that clips has counted before.
     share = outside / max(decision * env.spec.action_dim, 1)
-    success = bool(now.success)
-    noticed = getattr(player, "noticed", None)
-    return EpisodeResult(name_of(mask, streams), seed, success, success_any, total, share, noticed)
+    ended = (bool(now.success), success_any, total, share, getattr(player, "noticed", None))
+    return EpisodeResult(name_of(mask, streams), seed, *ended)
 
 
 def clipped_words(share: float) -> str:

@@ -126,11 +126,10 @@ def evaluate(
     """Runs the seeds ``seed`` to ``seed + episodes - 1`` on every one of ``subsets``.
 
     ``policy`` is a path, a name, ``module:factory``, or a policy itself, which then runs in this
-    process. ``workers`` is the number of processes, by default one per core; 0 is none but this. A
-    script with processes needs ``if __name__ == "__main__":`` around the call.
-    ``store`` answers for episodes it has seen, of policy folders only, and stores the new ones.
-    Raises UserError for names that are unknown and subsets the policy cannot act on, and Unfinished
-    with the Evaluation so far where a policy or a machine fails on the way.
+    process. ``workers``: processes, by default one per core (a script needs ``if __name__ ==
+    "__main__":`` around the call); 0 is none but this. ``store`` answers for episodes of policy
+    folders that it has seen, and stores the new ones. Raises UserError for unknown names and for
+    subsets the policy cannot act on, Unfinished with the Evaluation so far where something fails.
     """
     seeds = seeds_of_run(seed, episodes)
     table, loaded = Table.opened(policy, store)

@@ -63,8 +63,8 @@ class Simulation:
         """The newest frames of the stack, raw: what a policy swapped in needs as its past."""
         self.record = EpisodeRecord()
         self._actions: list[Array] = []
-        self.missed: int | None = None
-        """The seed whose first pictures did not come, if its episode was to begin last."""
+        self.missed = False
+        """True where an episode was to begin, and its first pictures did not come."""
         self._wait = wait or PolicyWait()
         self.input = PolicyInput(policy, env.spec, self._wait)
         for camera in env.spec.cameras:
@@ -151,9 +151,9 @@ class Simulation:
         ``step``, and meets the last step of the episode before."""
         # Before the very first episode there is no step that commands could touch.
         pause = between if self._recent else lambda: None
-        self.missed = seed
+        self.missed = True
         first = StepData.first(self.env, seed, pause)
-        self.missed = None
+        self.missed = False
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
@@ -169,7 +169,7 @@ class Simulation:
     def check(self) -> None:
         """Asks the policy once more where it gave no answer on this step. Raises UserError if no
         decision can be taken here."""
-        if self.missed is not None or len(self._actions) != self.now.step:
+        if self.missed or len(self._actions) != self.now.step:
             raise UserError(
                 f"expected {self.env.spec.task} at step {self.now.step} of seed {self.seed}, found "
                 "it elsewhere: its pictures did not come; start the seed again"
@@ -327,7 +327,7 @@ class Simulation:
             )
         self._adopt(saved.policy, PolicyInput(saved.policy, self.env.spec, self._wait))
         self._recent = deque(saved.recent, maxlen=self._recent.maxlen)
-        self.missed = None
+        self.missed = False
         self.input.restore(saved.input)
         self._actions = list(saved.actions)
         if not self.input.playing.again(self.policy, self.seed, saved.looks, saved.actions):

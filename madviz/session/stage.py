@@ -62,7 +62,7 @@ class Stage:
         """The names by which policies were loaded, each by its first one."""
         self.policy = policy
         self.seed = seed
-        """Who acts in which episode; before ``open``, who shall."""
+        """Who acts in which episode; before ``open``, and where one could not begin, who shall."""
         self.journal = Journal()
         self.wait = PolicyWait()
         """When a policy of either side is asked."""
@@ -84,7 +84,6 @@ class Stage:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a simulation."""
         return self.simulation is not None
 
     @property
@@ -96,8 +95,8 @@ class Stage:
         """The seed of the episode that is to begin: nothing is open, its first pictures did not
         come, or the one before has ended. None while an episode goes on."""
         live = self.simulation
-        if live is None or live.missed is not None:
-            return self.seed if live is None else live.missed
+        if live is None or live.missed:
+            return self.seed
         return self.seed + 1 if live.ended else None
 
     @property
@@ -138,9 +137,9 @@ class Stage:
     def begin(self, seed: int, between: Callable[[], None] = lambda: None) -> None:
         """Starts the episode of ``seed``; ``between`` as in ``Simulation.begin``. Where nothing is
         open, it is opened."""
+        self.seed = seed
         live = self.simulation
         if live is None:
-            self.seed = seed
             self.open()
             return
         self._forget_retraces()
@@ -298,6 +297,7 @@ class Stage:
         self._foresight = None
         self._complete = True
         self.policy = live.policy
+        self.seed = live.seed
         if self._second is not None:
             self._second.part()
 

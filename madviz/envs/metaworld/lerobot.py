@@ -69,7 +69,8 @@ class LeRobotMetaWorld(MetaWorld):
         import mujoco  # With metaworld, not before.
 
         # Its reset puts a goal where a body lay before: all must lie as in a new environment.
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         if self._unused is None:
             self._unused = np.empty(mujoco.mj_stateSize(model, kind))
