@@ -14,6 +14,7 @@ that dropping a camera is data and never a code path.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args, runtime_checkable
@@ -285,8 +286,8 @@ class PolicySpec:
     def __post_init__(self) -> None:
         """Raises UserError for streams that are none: others would be read as colour."""
         names = self.streams
-        kinds = {str(name).partition(".")[2] for name in names}
-        sound = isinstance(names, tuple) and kinds <= {"", *get_args(Modality)}
+        stream = rf"[^.]+(\.({'|'.join(get_args(Modality))}))?"
+        sound = isinstance(names, tuple) and all(re.fullmatch(stream, str(n)) for n in names)
         if not sound or not names or len(set(names)) < len(names):
             raise UserError(
                 f"{self.name}: expected streams as a tuple of cameras, each once, such as "

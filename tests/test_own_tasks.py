@@ -151,6 +151,7 @@ def test_a_picture_of_lerobots_push_depends_on_its_seed_alone() -> None:
     [
         {"streams": ("first.rgb", "first.dept")},
         {"streams": ("first", "first")},
+        {"streams": ("first.",)},
         {"streams": ()},
         {"frame_stack": 0},
         {"image_size": 0},

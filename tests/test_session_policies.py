@@ -471,6 +471,39 @@ def test_after_a_first_picture_that_did_not_come_the_seed_that_was_asked_for_beg
     assert not frame.pace.error and session.ask(StepOnce()).world.step == 1
 
 
+def test_play_begins_the_seed_on_both_sides_where_b_could_not():
+    envs: list[Blind] = []
+
+    def built(*_):
+        envs.append(Blind())
+        return envs[-1]
+
+    session = Recorder(env_factory=built)
+    session.at(0.0)
+    session.ask(Compare("toy-mad"))
+    envs[1].blind = True
+    assert session.ask(SetSeed(2007)).pace.error
+    envs[1].blind = False
+    frame = session.ask(Play())
+    assert frame.second is not None and not frame.pace.error
+    assert (frame.world.seed, frame.second.world.seed, frame.world.step) == (2007, 2007, 0)
+
+
+def test_an_episode_whose_first_answer_fails_has_left_the_one_before():
+    policy = Silent()
+    session = Recorder(policy)
+    session.at(0.0)
+    session.ask(SetCamera("first", OFF))
+    session.steps(4)
+    session.ask(SetSchedule((Event(0, "third_a", dropped=True),)))
+    policy.silent = True
+    session.ask(Reset())
+    policy.silent = False
+    frame = session.ask(Play())
+    assert not frame.pace.error and len(frame.history) == frame.world.step + 1 < 4
+    assert not frame.world.ablation.mask(policy.spec.streams)[1]
+
+
 def test_an_episode_that_cannot_begin_is_passed_by():
     """As one of a recording that cannot be decoded: *next* leads on, and not to it again."""
     env = Blind()

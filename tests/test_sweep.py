@@ -97,6 +97,7 @@ def test_options_of_a_command_that_did_nothing_yet_may_be_corrected(
     assert lines(folder, "trained.txt") == ["once"]
     with pytest.raises(UserError, match="madviz eval"):
         check_same(folder, typo)
+    assert "madviz eval" in carry_out(typo, tmp_path / "out", program).error
 
 
 def test_a_result_has_what_its_evaluation_measured(tmp_path: Path, program: list[str]) -> None:

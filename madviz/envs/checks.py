@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from traceback import extract_tb
 
 import numpy as np
 
@@ -51,9 +53,11 @@ def expert_action(env: Environment) -> Array:
     except UserError:
         raise
     except Exception as error:  # A task of one's own may raise anything.
+        where = extract_tb(error.__traceback__)[-1]
         raise UserError(
-            f"expected an expert of {env.spec.task}, found {type(error).__name__}: {error}; give "
-            "it one, or train by rewards (--recipe paper)"
+            f"expected an expert of {env.spec.task}, found {type(error).__name__}: {error} "
+            f"({Path(where.filename).name}, line {where.lineno}); write or repair it, or train "
+            "by rewards (--recipe paper)"
         ) from error
 
 

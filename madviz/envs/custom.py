@@ -82,6 +82,7 @@ def make_own(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) ->
     try:
         made.spec = replace(spec, cameras=resized_cameras(task, spec.cameras, cameras))
     except AttributeError as error:
+        made.close()
         raise UserError(
             f"{task}: expected an attribute spec that can be set, found none ({error}); set "
             "self.spec where it is made"
@@ -92,7 +93,11 @@ def make_own(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) ->
 def _made(task: str) -> Environment:
     """A new environment of the factory; ``_SPECS`` has its spec."""
     made = made_by(task, Environment)
-    _check_spec(task, made.spec)
+    try:
+        _check_spec(task, made.spec)
+    except UserError:
+        made.close()
+        raise
     _SPECS[task] = replace(made.spec, task=task)
     return made
 

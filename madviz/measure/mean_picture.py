@@ -31,6 +31,7 @@ from madviz.policies.seeds import FIRST_SELECTION
 from madviz.recorded.known import recordings_of
 from madviz.recorded.recordings import Recordings
 from madviz.subsets import camera_of, cameras_of
+from madviz.system.streams import say
 from madviz.types import Environment, EnvSpec, PolicySpec
 
 FIRST_SEED = FIRST_SELECTION + 900
@@ -48,6 +49,7 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE
     sums: dict[str, np.ndarray] = {}
     steps = {round(env.horizon * number / PICTURES) for number in range(PICTURES)}
     with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
+        expert = _has_expert(world)
         for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
             world.reset(seed)
             rng = np.random.default_rng(seed)
@@ -57,19 +59,23 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE
                     for stream in streams:
                         frame = stream_frame(views[camera_of(stream)], stream, world.spec, size)
                         sums[stream] = sums.get(stream, 0.0) + frame.astype(np.float64)
-                world.step(_movement(world, rng))
+                drawn = rng.uniform(-1, 1, env.action_dim).astype(np.float32)
+                world.step(expert_action(world) if expert else drawn)
     count = EPISODES * len(steps)
     return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}
 
 
-def _movement(world: Environment, rng: np.random.Generator) -> np.ndarray:
-    """(A,): the expert's decision, or a random one of a task of one's own that has none."""
+def _has_expert(world: Environment) -> bool:
+    """False for a task of one's own that has none, which is said."""
+    if not is_own(world.spec.task):
+        return True
+    world.reset(FIRST_SEED)
     try:
-        return expert_action(world)
-    except UserError:
-        if not is_own(world.spec.task):
-            raise
-        return rng.uniform(-1, 1, world.spec.action_dim).astype(np.float32)
+        expert_action(world)
+    except UserError as error:
+        say(f"{error}; mean pictures are those of random movements")
+        return False
+    return True
 
 
 def recorded_means(

@@ -127,7 +127,8 @@ def parse_occlusions(words: Iterable[str]) -> dict[str, Occlusion]:
 def parse_condition(word: str, cameras: Sequence[str]) -> Condition:
     """``all``, ``first+third_b``, ``third_a=black`` and the other forms of the module, as it was
     written (see ``Condition.noticed``). Raises UserError, also for a subset beside a dropped
-    camera, and for a failure of a camera that the subset leaves out."""
+    camera, for a failure or a move of a camera that the subset leaves out, and for an axis that is
+    given twice."""
     subsets: list[str] = []
     failing: list[str] = []
     dropped: list[str] = []

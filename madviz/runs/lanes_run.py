@@ -123,7 +123,7 @@ def advance(
     if ended.any() and not last:
         raise UserError(
             f"expected episodes of {run.plan.env.task} that are equally long, found one that ended "
-            "before the others; train it with --recipe paper"
+            "before the others; make them so, or take a method with the recipe paper"
         )
     discount = run.discount_of(last)
     for lane in lanes:

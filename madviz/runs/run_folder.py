@@ -168,9 +168,10 @@ class RunFolder:
         try:
             return torch.load(file, "cpu", weights_only=True)
         except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+            reason = (str(error).splitlines() or [""])[0]
             raise UserError(
-                f"{file}: expected the state of a run, found something else; restore it, or choose "
-                "another --out"
+                f"{file}: expected the state of a run, found what could not be loaded "
+                f"({reason:.80}); restore it, or choose another --out"
             ) from error
 
     def report(self, kind: str, **values: Any) -> None:

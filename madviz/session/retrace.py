@@ -12,12 +12,13 @@ once more, without drawing, and stands where it stood.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
+from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.session.commands import SetCamera
 from madviz.session.frame import HandPaths, untouched
@@ -114,3 +115,56 @@ class Retrace:
             hands.append(env.hand())
         self._away = False
         return np.array(hands, np.float32)
+
+
+class Retraces:
+    """The replays of an ended episode, one on each side; none before they are asked for."""
+
+    def __init__(self) -> None:
+        self._replays: list[Retrace] = []
+        self._before: dict[Simulation, Snapshot] = {}
+        """By side: the step at which a camera was first not as in training."""
+
+    def note(self, side: Simulation) -> None:
+        """Keeps the step at which ``side`` stands if a camera is not as in training first here."""
+        if side not in self._before and side.condition != Condition("all"):
+            self._before[side] = side.snapshot()
+
+    def unnote(self, side: Simulation, steps: int) -> None:
+        """``side`` has gone back to the step ``steps``: changes from there on are undone."""
+        changed = self._before.get(side)
+        if changed is not None and len(changed.actions) >= steps:
+            del self._before[side]
+
+    @property
+    def going(self) -> bool:
+        """True while a replay is not done."""
+        return not all(replay.done for replay in self._replays)
+
+    def advance(self, sides: Sequence[Simulation]) -> bool:
+        """One decision of a replay. Returns whether the paths have just come to be known."""
+        if not self._replays:
+            self._replays = [Retrace(side, self._before.get(side)) for side in sides]
+        due = [replay for replay in self._replays if not replay.done]
+        if due:
+            due[0].advance()
+        return bool(due) and not self.going
+
+    def leave(self) -> None:
+        """Brings the environments back from a replay that was not done; the paths stay."""
+        for replay in self._replays:
+            replay.leave()
+
+    def forget(self) -> None:
+        """Brings the environments back, and forgets the paths."""
+        self.leave()
+        self._replays = []
+
+    def begin(self) -> None:
+        """Another episode: no camera was changed yet."""
+        self._before = {}
+
+    @property
+    def paths(self) -> list[HandPaths | None]:
+        """A's and B's; None where there is none."""
+        return [replay.paths for replay in self._replays] or [None, None]

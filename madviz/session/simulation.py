@@ -64,7 +64,7 @@ class Simulation:
         self.record = EpisodeRecord()
         self._actions: list[Array] = []
         self.missed = False
-        """True where an episode was to begin, and its first pictures did not come."""
+        """True where an error has cut in while an episode was to begin, or to go back to a step."""
         self._wait = wait or PolicyWait()
         self.input = PolicyInput(policy, env.spec, self._wait)
         for camera in env.spec.cameras:
@@ -153,7 +153,6 @@ class Simulation:
         pause = between if self._recent else lambda: None
         self.missed = True
         first = StepData.first(self.env, seed, pause)
-        self.missed = False
         # The new episode begins here: until now a command met the old one.
         self.episode += 1
         self.seed = seed
@@ -164,6 +163,7 @@ class Simulation:
         self._actions = []
         self.journal.begin(self.policy.spec, self.env.spec, seed, self.ablation)
         self._push(first)
+        self.missed = False
         self._read()
 
     def check(self) -> None:
@@ -172,7 +172,7 @@ class Simulation:
         if self.missed or len(self._actions) != self.now.step:
             raise UserError(
                 f"expected {self.env.spec.task} at step {self.now.step} of seed {self.seed}, found "
-                "it elsewhere: its pictures did not come; start the seed again"
+                "it elsewhere: an error cut in; start the seed again"
             )
         if self.input.unread:
             self._read()
@@ -312,6 +312,7 @@ class Simulation:
         """Stands at an earlier step of this episode again. An episode is its seed and its actions,
         so the simulator takes those once more, without drawing anything. Raises UserError if it
         does not come to the same state."""
+        self.missed = True
         strayed = {*self.ablation.moves, *saved.ablation.moves}
         self.ablation = saved.ablation
         for camera in strayed:
@@ -327,7 +328,6 @@ class Simulation:
             )
         self._adopt(saved.policy, PolicyInput(saved.policy, self.env.spec, self._wait))
         self._recent = deque(saved.recent, maxlen=self._recent.maxlen)
-        self.missed = False
         self.input.restore(saved.input)
         self._actions = list(saved.actions)
         if not self.input.playing.again(self.policy, self.seed, saved.looks, saved.actions):
@@ -341,6 +341,7 @@ class Simulation:
         self._settled = saved.ablation
         self.change = None
         self.journal.back(saved.mark)
+        self.missed = False
 
     def _adopt(self, policy: Policy, fresh: PolicyInput) -> None:
         """``policy`` acts from now on, with what it gets in ``fresh``."""

@@ -21,7 +21,6 @@ from madviz.analysis.saliency import LiveSaliency
 from madviz.envs.registry import sees
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation
-from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Schedule
 from madviz.policies.config import check_environment
@@ -34,11 +33,10 @@ from madviz.session.comparison import (
 )
 from madviz.session.frame import Frame, Pair, SessionPace, World, carried
 from madviz.session.journal import Journal
-from madviz.session.retrace import Retrace
+from madviz.session.retrace import Retraces
 from madviz.session.scheduled import SessionPlan
 from madviz.session.session_file import SavedEpisode
 from madviz.session.simulation import Simulation
-from madviz.session.snapshot import Snapshot
 from madviz.session.timeline import Timeline
 from madviz.session.waiting import PolicyWait
 from madviz.types import EnvSpec, Policy, PolicySpec
@@ -77,10 +75,7 @@ class Stage:
         self._pairs: deque[Pair] = deque(maxlen=MOST_PAIRS)
         self._complete = True
         """True where B and the plan have come to A's step."""
-        self._retraces: list[Retrace] = []
-        """The replays of A's ended episode and of B's, once they were asked for."""
-        self._before: dict[Simulation, Snapshot] = {}
-        """By side: the step at which a camera was first not as in training."""
+        self._retraces = Retraces()
 
     @property
     def is_open(self) -> bool:
@@ -95,7 +90,7 @@ class Stage:
         """The seed of the episode that is to begin: nothing is open, its first pictures did not
         come, or the one before has ended. None while an episode goes on."""
         live = self.simulation
-        if live is None or live.missed:
+        if live is None or any(side.missed for side in self._sides):
             return self.seed
         return self.seed + 1 if live.ended else None
 
@@ -127,7 +122,7 @@ class Stage:
 
     def shut(self) -> None:
         """Closes the environment, and B's."""
-        self._forget_retraces()
+        self._retraces.forget()
         self.compare(None)
         self._foresight = None
         if self.simulation is not None:
@@ -142,24 +137,33 @@ class Stage:
         if live is None:
             self.open()
             return
-        self._forget_retraces()
+        self._retraces.forget()
         self._timeline.show(None)  # What is touched meanwhile is touched now, not in the past.
         if self._second is not None:  # Before A, whose last step is there to be touched meanwhile.
             self._second.begin(seed, between)
-        live.begin(seed, between)
-        self._begun(seed)
+        episode = live.episode
+        try:
+            live.begin(seed, between)
+        finally:
+            if live.episode > episode:  # Also where the policy gave no first answer.
+                self._forget_episode()
+        self._run_plan()
 
     def _begun(self, seed: int) -> None:
         """A stands at the first step of ``seed``, and so does B if there is one."""
         self.seed = seed
+        self._forget_episode()
+        self._run_plan()
+
+    def _forget_episode(self) -> None:
+        """Another one has begun."""
         self._timeline = Timeline()
         self.saliency.forget()
         if self._foresight is not None:  # It stays to be looked at.
             self._foresight = replace(self._foresight, closed=True)
-        self._before = {}
+        self._retraces.begin()
         self._complete = False
         self._plan.begin()
-        self._run_plan()
 
     def step(self, between: Callable[[], None]) -> None:
         """One decision, on both sides if there are two; ``between`` as in ``Simulation.step``.
@@ -171,8 +175,7 @@ class Stage:
             side.check()
         if self._complete:
             for side in sides:
-                if side not in self._before and side.condition != Condition("all"):
-                    self._before[side] = side.snapshot()
+                self._retraces.note(side)
             self._step_a(between)
         if b is not None:
             b.step(live.now.step)
@@ -201,8 +204,7 @@ class Stage:
         if self._timeline.shown is not None:
             self.fork()
         if isinstance(command, MoveCamera):
-            for retrace in self._retraces:  # The picture is drawn anew.
-                retrace.leave()
+            self._retraces.leave()  # The picture is drawn anew.
             self._live.move_camera(command)
         else:
             self._live.set_camera(command, preview)
@@ -259,23 +261,12 @@ class Stage:
     @property
     def retracing(self) -> bool:
         """True while a replay with all cameras is not done."""
-        return not all(retrace.done for retrace in self._retraces)
+        return self._retraces.going
 
     def retrace(self) -> bool:
         """One decision of the ended episode, played once more with all cameras, on each side where
         one was changed. Returns whether its paths have just come to be known."""
-        if not self._retraces:
-            self._retraces = [Retrace(side, self._before.get(side)) for side in self._sides]
-        before = [retrace for retrace in self._retraces if not retrace.done]
-        if before:
-            before[0].advance()
-        return bool(before) and not self.retracing
-
-    def _forget_retraces(self) -> None:
-        """Brings the environments back from a replay that was not done, and forgets the paths."""
-        for retrace in self._retraces:
-            retrace.leave()
-        self._retraces = []
+        return self._retraces.advance(self._sides)
 
     def show_step(self, step: int | None) -> None:
         """Shows an earlier step from now on; None: the newest one."""
@@ -288,11 +279,9 @@ class Stage:
         if self._timeline.shown is None:
             raise UserError("expected an earlier step to fork from; drag the timeline back first")
         live = self._live
-        self._forget_retraces()
+        self._retraces.forget()
         to = self._timeline.fork()
-        changed = self._before.get(live)
-        if changed is not None and len(changed.actions) >= len(to.actions):
-            del self._before[live]
+        self._retraces.unnote(live, len(to.actions))
         live.return_to(to)
         self._foresight = None
         self._complete = True
@@ -305,7 +294,7 @@ class Stage:
         """Starts B, and the episode again for both; None ends B. They are linked if their cameras
         begin alike. Raises UserError if B's policy belongs to another task: there would be nothing
         to compare. Where the new B cannot begin, the old one and its pairs stay."""
-        self._forget_retraces()
+        self._retraces.forget()
         second = None if name is None else self._open_second(name, ablation or Ablation())
         if self._second is not None:
             self._second.close()
@@ -358,7 +347,7 @@ class Stage:
         live = self.simulation
         if live is None:
             return None
-        paths = [retrace.paths for retrace in self._retraces] or [None, None]
+        paths = self._retraces.paths
         b = self._second
         frame = Frame(
             self._world(live),

@@ -169,10 +169,12 @@ def carry_out(
         if why := broken(folder):
             return RunOutcome("failed", why)
         if finished(folder):
+            check_same(folder, run)
             return RunOutcome("finished")
         with locked(folder / CLAIM) as claim:  # None: another process holds it.
             if claim is None:
                 return RunOutcome("busy")
+            check_same(folder, run)
             if not finished(folder):
                 commands = _Commands(folder, program, claim, stop or threading.Event())
                 _work(run, folder, commands, workers)
@@ -184,7 +186,6 @@ def carry_out(
 
 
 def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> None:
-    check_same(folder, run)
     write_json(folder / WORDS, run.words())
     policy = folder / IN_RUN
     if not trained(policy):

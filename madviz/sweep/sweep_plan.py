@@ -34,6 +34,7 @@ from typing import Annotated, Any
 import msgspec
 
 from madviz.agent.methods import method
+from madviz.envs.custom import is_own
 from madviz.envs.registry import check_task, setting
 from madviz.errors import UserError, unknown
 from madviz.subsets import mask_of
@@ -89,7 +90,8 @@ def read_plan(file: str | Path) -> tuple[Run, ...]:
     evaluation = tuple(words_for(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}
     for grid in asked.grid if isinstance(asked.grid, list) else [asked.grid]:
-        for where in grid.settings:
+        own = "cameras" in flat(grid.train) or any(map(is_own, grid.tasks))
+        for where in () if own else grid.settings:  # Only madviz's own cameras are known here.
             for subset in asked.eval.subsets or ():
                 mask_of(subset, setting(where).streams)
         for run in _expand(path, grid, evaluation):

@@ -34,10 +34,10 @@ def made_by(reference: str, protocol: type) -> Any:
         with _importable_from_here():
             made = factory()
     except (ImportError, AttributeError, ValueError, TypeError) as error:
-        where = extract_tb(error.__traceback__)[-1]
+        *_, called, where = [None, *extract_tb(error.__traceback__)]
+        place = f" ({Path(where.filename).name}, line {where.lineno})" if called and where else ""
         raise UserError(
-            f"{reference}: the factory was found and failed: {type(error).__name__}: {error} "
-            f"({Path(where.filename).name}, line {where.lineno})"
+            f"{reference}: the factory was found and failed: {type(error).__name__}: {error}{place}"
         ) from error
     parts = [*protocol.__annotations__, *vars(protocol)]
     lacking = [part for part in parts if part[0] != "_" and not hasattr(made, part)]
