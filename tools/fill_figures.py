@@ -19,6 +19,7 @@ from functools import partial
 
 import audits
 import crossed_table
+import fresh_seeds
 import guard_table
 import measurements
 import package_tree
@@ -131,6 +132,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "wiring": measurements.wiring,
     "claims": claims,
     "findings": findings,
+    "fresh-seeds": fresh_seeds.fresh_seeds,
     "headlines": headlines,
     "mv-mae": partial(included, "mv-mae"),
     "mv-mwm": partial(included, "mv-mwm"),
