@@ -34,7 +34,7 @@ def fresh_seeds() -> str:
         lower += [f"{label}, {points} points"] if high < 0 else []
     said = f"is lower with {'; '.join(lower)}" if lower else "is not shown to be lower"
     words = (
-        f"Means over {len(pairs)} tasks, 100 episodes of each; intervals are Student's t over tasks. "
+        f"Means over {len(pairs)} tasks, 100 episodes of each; Student's t intervals over tasks. "
         f"On scenes that nothing was chosen on, success {said}."
     )
     header = ("present", "development", "reporting", "difference, points")

@@ -130,10 +130,10 @@ class Retraces:
         if side not in self._before and side.condition != Condition("all"):
             self._before[side] = side.snapshot()
 
-    def unnote(self, side: Simulation, steps: int) -> None:
-        """``side`` has gone back to the step ``steps``: changes from there on are undone."""
+    def went_back(self, side: Simulation, step: int) -> None:
+        """``side`` stands at the step ``step`` again: changes from there on are undone."""
         changed = self._before.get(side)
-        if changed is not None and len(changed.actions) >= steps:
+        if changed is not None and len(changed.actions) >= step:
             del self._before[side]
 
     @property

@@ -281,7 +281,7 @@ class Stage:
         live = self._live
         self._retraces.forget()
         to = self._timeline.fork()
-        self._retraces.unnote(live, len(to.actions))
+        self._retraces.went_back(live, len(to.actions))
         live.return_to(to)
         self._foresight = None
         self._complete = True
