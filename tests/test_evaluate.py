@@ -253,8 +253,9 @@ def test_default_subsets_show_what_was_trained_every_single_stream_and_the_floor
     assert set(streams) < set(both) and both[-1] == "none" and len(set(both)) == len(both)
 
 
-def test_default_subsets_leave_out_what_the_policy_cannot_do():
+def test_default_subsets_leave_out_what_the_policy_cannot_do(capsys):
     assert list(evaluate(AllOrNothing(), episodes=1).rows) == ["all"]
+    assert "cannot act on first, third_a, third_b, none: left out" in capsys.readouterr().err
     with pytest.raises(UserError, match="cannot act on 'first'"):
         evaluate(AllOrNothing(), ("first",), episodes=1)
 

@@ -18,6 +18,7 @@ from madviz.envs.registry import SETTINGS
 from madviz.errors import UserError
 from madviz.policies.checkpoint import describe, load_policy, save_policy
 from madviz.training.config import RECIPES, TrainConfig, command, default_config, resolve
+from madviz.training.light import LightConfig
 from madviz.world_model.sizes import AutoencoderConfig, MvMaeOptions
 from tests.checkpoints import make_config
 from tests.checkpoints import saved as saved_mad
@@ -76,6 +77,13 @@ def test_a_plan_has_them_with_the_defaults_of_its_recipe() -> None:
     asked = replace(paper, own=VibOptions(64, 10.0))
     assert command(asked).endswith("--own.bottleneck-dim 64")
     assert resolve(TrainConfig("toy/reach")).networks.own == OwnOptions()
+
+
+def test_a_command_that_is_given_away_has_no_path_of_this_machine() -> None:
+    light = LightConfig(episodes="/home/x/run")
+    config = TrainConfig(cameras=Path("/home/x/c.toml"), light=light)
+    assert "/home" not in command(config) and "c.toml" in command(config)
+    assert "/home/x/c.toml" in command(config, given_away=False)
 
 
 def saved_vib(folder: Path) -> Path:

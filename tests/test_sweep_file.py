@@ -118,6 +118,14 @@ def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
+def test_subsets_of_cameras_of_ones_own_are_left_to_the_evaluation(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    grid = '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[grid.train]\ncameras = "c.toml"\n'
+    file.write_text(f'{grid}[eval]\nsubsets = ["all", "left"]\n')
+    (run,) = read_plan(file)
+    assert run.evaluate[-2:] == ("all", "left")
+
+
 def test_an_option_counts_for_the_recipe_that_has_it(tmp_path: Path) -> None:
     file = tmp_path / "two.toml"
     grid = '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n'

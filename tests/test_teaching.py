@@ -231,6 +231,8 @@ def test_a_training_that_was_stopped_is_resumed(
         shutil.copytree(find_policy("metaworld-hammer-mad-light"), out, dirs_exist_ok=True)
         described = json.loads((out / "config.json").read_text())
         described["training"]["finished"] = len(asked) > 1
+        if len(asked) > 1:
+            (out / "resume" / "finished").touch()
         (out / "config.json").write_text(json.dumps(described))
 
     monkeypatch.setattr("madviz.training.train.train", train)

@@ -37,7 +37,8 @@ def made_by(reference: str, protocol: type) -> Any:
         *_, called, where = [None, *extract_tb(error.__traceback__)]
         place = f" ({Path(where.filename).name}, line {where.lineno})" if called and where else ""
         raise UserError(
-            f"{reference}: the factory was found and failed: {type(error).__name__}: {error}{place}"
+            f"{reference}: expected module:factory that can be called without a word, found "
+            f"{type(error).__name__}: {error}{place}"
         ) from error
     parts = [*protocol.__annotations__, *vars(protocol)]
     lacking = [part for part in parts if part[0] != "_" and not hasattr(made, part)]
