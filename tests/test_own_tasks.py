@@ -64,7 +64,7 @@ MAKERS: dict[str, tuple[Callable[[], ToyReach], str]] = {
     "start": (lambda: toy(start_state=(77,)), "state numbers from 0 to 5 .*found 77"),
     "paper": (lambda: toy(paper_state=(6,)), "state numbers from 0 to 5 .*found 6"),
     "fixed": (Fixed, "expected an attribute spec that can be set"),
-    "failing": (failing, r"called without a word, found TypeError.*\(.*\.py, line \d+\)"),
+    "failing": (failing, r"called without arguments, found TypeError.*\(.*\.py, line \d+\)"),
 }
 
 

@@ -505,7 +505,7 @@ def test_an_episode_whose_first_answer_fails_has_left_the_one_before():
 
 
 def test_an_episode_that_cannot_begin_is_passed_by():
-    """As one of a recording that cannot be decoded: *next* leads on, and not to it again."""
+    """*Next* leads on and not to the same one again, for example past a broken recorded episode."""
     env = Blind()
     session = Recorder(env_factory=lambda *_: env)
     session.at(0.0)

@@ -42,8 +42,8 @@ def fresh_seeds() -> str:
 
 
 def _pairs() -> list[tuple[Row, Row]]:
-    """Of each task's MAD with the paper's cameras: the row on development, and that on reporting
-    seeds, where it was read."""
+    """Returns the rows of each task's MAD on development and on reporting seeds, for those that
+    were read."""
     names = [f"{task.replace('/', '-')}-mad-light" for task in TWENTY]
     known = [name for name in names if name in policies()]
     rows = [(on_development(name), row(name)) for name in known]

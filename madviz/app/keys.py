@@ -61,7 +61,7 @@ class Keys:
 
     def _play_or_pause(self) -> None:
         frame = self._newest()
-        # After an episode the next one begins by itself, unless it is told not to.
+        # With auto_next, the next episode begins by itself after an end.
         goes_on = isinstance(frame, Frame) and (
             frame.pace.phase == "playing" or (frame.pace.phase == "ended" and frame.pace.auto_next)
         )

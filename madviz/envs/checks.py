@@ -28,8 +28,8 @@ def check_action(action: Array, action_dim: int) -> None:
 
 
 def check_state(state: Array, spec: EnvSpec) -> None:
-    """Raises UserError unless ``state`` is (S,), as ``spec`` says; whoever plays an episode calls
-    it at the first step."""
+    """Raises UserError unless ``state`` is (S,), as ``spec`` says; evaluation and demonstrations
+    call it at the first step."""
     if np.shape(state) != (spec.state_dim,):
         raise UserError(
             f"expected {spec.task} to give {spec.state_dim} state numbers, as its spec says, found "

@@ -119,7 +119,7 @@ class GuardedPolicy:
         return isinstance(self.inner, Foresees) and self.inner.foresees
 
     def foresee(self, encoded: Encoded, mask: Array, decisions: int) -> Future:
-        """As the policy does: in what it imagines no camera fails."""
+        """The policy imagines as it does without a guard: no camera fails there."""
         assert isinstance(self.inner, Foresees)
         return self.inner.foresee(_without(encoded), mask, decisions)
 

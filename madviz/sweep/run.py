@@ -205,8 +205,8 @@ def _work(run: Run, folder: Path, commands: _Commands, workers: int | None) -> N
 
 
 def trained(policy: Path) -> bool:
-    """Whether the policy's config says that its training reached the end, and no more of it, such
-    as its last evaluation, is to be resumed."""
+    """Returns True if the policy's config says that its training reached the end, and nothing of
+    it, such as the last evaluation, is left to resume."""
     resume = policy / "resume"
     goes_on = (resume / "run.json").is_file() and not (resume / "finished").is_file()
     if goes_on or not (policy / CONFIG).is_file():

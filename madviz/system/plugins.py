@@ -34,10 +34,10 @@ def made_by(reference: str, protocol: type) -> Any:
         with _importable_from_here():
             made = factory()
     except (ImportError, AttributeError, ValueError, TypeError) as error:
-        *_, called, where = [None, *extract_tb(error.__traceback__)]
-        place = f" ({Path(where.filename).name}, line {where.lineno})" if called and where else ""
+        inside = extract_tb(error.__traceback__)[1:]  # The first frame is this function's.
+        place = f" ({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
         raise UserError(
-            f"{reference}: expected module:factory that can be called without a word, found "
+            f"{reference}: expected module:factory that can be called without arguments, found "
             f"{type(error).__name__}: {error}{place}"
         ) from error
     parts = [*protocol.__annotations__, *vars(protocol)]
