@@ -46,6 +46,7 @@ from madviz.session.commands import (
     ReadSubsets,
     SetCamera,
     SetPolicy,
+    SetSeed,
     SetSaliency,
 )
 from madviz.session.frame import Frame
@@ -228,6 +229,11 @@ def test_policy_panel_shows_without_sending(server):
     panel = PolicyPanel(gui, sent.append, frame_with(), choices)
     apply(panel.update(frame_with(SetPolicy("toy-rgbd"))))
     assert gui.find("Policy").value == "RGB-D" and sent == []
+    apply(panel.update(frame_with(SetSeed(7))))
+    assert gui.find("Seed").value == 7 and sent == [], "the field names the episode that runs"
+    gui.find("Seed").value = 12
+    apply(panel.update(frame_with(SetSeed(7))))
+    assert gui.find("Seed").value == 12, "a number that a visitor types stays"
     panel.remove()
 
 

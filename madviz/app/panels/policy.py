@@ -149,6 +149,7 @@ class PolicyPanel(HtmlPanel):
             step=1,
             hint="Which episode to start.",
         )
+        self._shown_seed = SyncedInput(seed)
         go = gui.add_button("go", hint="Start the episode of this seed.")
         on_use(go, lambda *_: send(SetSeed(int(seed.value))))
         auto = gui.add_checkbox(
@@ -176,6 +177,7 @@ class PolicyPanel(HtmlPanel):
         marks += self._speed.style(speed)
         changes.append(Assign(self._style, "content", f"<style>{marks}</style>"))
         changes += self._shown_auto.show(frame.pace.auto_next)
+        changes += self._shown_seed.show(frame.world.seed)
         # After an error the policy may be another than the one that was picked.
         failed = bool(frame.pace.error)
         changes += self._shown_task.show(frame.world.env.task, force=failed)
