@@ -46,8 +46,8 @@ from madviz.session.commands import (
     ReadSubsets,
     SetCamera,
     SetPolicy,
-    SetSeed,
     SetSaliency,
+    SetSeed,
 )
 from madviz.session.frame import Frame
 from madviz.session.session import Session

@@ -50,6 +50,16 @@ def test_a_students_copy_has_no_outputs_and_no_solutions(tmp_path: Path) -> None
     assert len(whole.cells) == len(TAGS) + 2 and whole.cells[2].outputs
 
 
+def test_copies_that_are_there_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    nbformat.write(lesson(), tmp_path / "in" / "02_merge.ipynb")
+    (made,) = COPIES["make"](tmp_path / "out", tmp_path / "in")
+    made.write_text("an answer")
+    with pytest.raises(SystemExit, match="in which answers may be"):
+        COPIES["make"](tmp_path / "out", tmp_path / "in")
+    assert made.read_text() == "an answer"
+
+
 def test_pages_to_read_have_what_the_copies_have(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     nbformat.write(lesson(), tmp_path / "in" / "02_merge.ipynb")

@@ -69,6 +69,28 @@ def test_a_folder_or_a_file_name_says_whose_copy_it_is(class_: Path) -> None:
     assert found == [("ada", LESSON), ("bob", LESSON), ("cy", "")]
 
 
+def test_two_copies_of_a_student_are_told_apart(class_: Path) -> None:
+    for name in ("all/ada_02_merge.ipynb", "all/bob_02_merge.ipynb", "cy/02_merge.ipynb"):
+        come_back(class_, name, notebook(RIGHT))
+    rows = [
+        next(rows_of(one, ["02.merge"], frozenset(), CopyRun()))
+        for one in returned(class_ / "returned", [LESSON])
+    ]
+    several = "one of 2 files of all for 02_merge"
+    assert [(row.file, row.error) for row in rows] == [
+        ("all/ada_02_merge.ipynb", several),
+        ("all/bob_02_merge.ipynb", several),
+        ("cy/02_merge.ipynb", ""),
+    ]
+
+
+def test_a_name_that_no_text_file_can_have_is_written_in_ascii(class_: Path) -> None:
+    come_back(class_, "J\udcf6rg/02_merge.ipynb", notebook(RIGHT))
+    (one,) = returned(class_ / "returned", [LESSON])
+    (row,) = rows_of(one, ["02.merge"], frozenset(), CopyRun())
+    assert b"J\\udcf6rg/02_merge.ipynb" in table([row]).encode()
+
+
 @pytest.mark.parametrize(
     ("change", "edited"),
     [
@@ -115,6 +137,11 @@ def test_what_is_no_notebook_is_said(class_: Path) -> None:
         broken.write_text(text)
         with pytest.raises(UserError, match="expected a notebook"):
             prepare(broken, lesson)
+    half = notebook("x = 1").copy()
+    half.cells[1].source = "x = 'HALF'"
+    broken.write_text(nbformat.writes(half).replace("HALF", "\\ud83d"))
+    with pytest.raises(UserError, match="UnicodeEncodeError"):
+        prepare(broken, lesson)
     link = class_ / "returned" / "link_02_merge.ipynb"
     link.symlink_to(class_ / "lessons" / "02_merge.ipynb")
     with pytest.raises(UserError, match="found a link"):
@@ -180,9 +207,10 @@ def test_every_exercise_has_its_row(class_: Path) -> None:
     first, second = rows_of(one, ["02.merge", "02.mean"], frozenset({"02.merge"}), run)
     assert first == Grade(
         "ada", LESSON, "02.merge", False, "it is not the sum",
-        "cell 2: NameError; check edited; the original one was run",
+        "cell 2: NameError; check edited; the original one was run", one.name,
     )  # fmt: skip
-    assert second == Grade("ada", LESSON, "02.mean", False, "", "it did not end within 9 s")
+    ended = "it did not end within 9 s"
+    assert second == Grade("ada", LESSON, "02.mean", False, "", ended, "ada_02_merge.ipynb")
 
 
 def returned_of(class_: Path, name: str):
@@ -192,7 +220,7 @@ def returned_of(class_: Path, name: str):
 
 def test_a_spreadsheet_runs_nothing_of_a_student() -> None:
     text = table([Grade("=cmd|' /C calc'!A0", LESSON, "02.merge", False, "-1", "+1")])
-    assert text.splitlines()[0] == "student,lesson,exercise,passed,hint,error"
+    assert text.splitlines()[0] == "student,lesson,exercise,passed,hint,error,file"
     (row,) = csv.DictReader(text.splitlines())
     assert all(row[name][0] == "'" for name in ("student", "hint", "error"))
 
@@ -253,7 +281,7 @@ def test_whatever_a_copy_does_it_has_its_row(class_: Path) -> None:
         "unending": "it did not end within 60 s",
         "hungry": "cell 2: MemoryError",
         "broken": "expected a notebook, found another file (NotJSONError)",
-        "essay": "expected a name with one of 02_merge, found essay.txt",
+        "essay": "expected a name with one of 02_merge",
     }
     assert {name: rows[name]["error"] for name in expected} == expected
     assert "nothing is answered yet" in rows["empty"]["hint"]

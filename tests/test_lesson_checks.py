@@ -111,6 +111,14 @@ def in_place(stack: Any, streams: Any) -> Any:
     return stack
 
 
+def half_open(expected: Any, interval: Any) -> str:
+    """A verdict that leaves out the upper end of what is expected."""
+    (low, high), (least, most) = expected, interval
+    if low <= least and most < high:
+        return "as planned"
+    return "not as planned" if most < low or high < least else "cannot say"
+
+
 PLAN: dict[str, Any] = {
     "question": "Does it need the camera only until then?",
     "conditions": {"never": None, "early": 10, "late": 60},
@@ -132,6 +140,9 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "at step 0": (f"#policy={MERGED_ONLY}&third_a=black",),
         "not Merged Only": ("#policy=metaworld-hammer-mad-light&third_a=black@20",),
         "no camera is switched": (f"#policy={MERGED_ONLY}",),
+        "more than one thing": (f"#policy={MERGED_ONLY}&third_a=off@10&third_a=black@20",),
+        "on side B": (f"#policy={MERGED_ONLY}&b.third_a=black@20",),
+        "something else than black": (f"#policy={MERGED_ONLY}&third_a=both:noise:0.5@20",),
     },
     "01.numbers": {
         "these are the pictures alone": (3 * 9 * 84 * 84,),
@@ -147,6 +158,8 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
     "02.merge": {
         "it is not the sum of those cameras": (lambda features, present: features.sum(0),),
         "expected an array of the shape (4,)": (lambda features, present: features[present],),
+        "zeros: expected an array": (lambda features, present: sum(features[present]),),
+        "is a `return` missing?": (lambda features, present: None,),
     },
     "02.mean": {
         "it is not the mean of those cameras": (lambda f, present: present @ f / len(f),),
@@ -199,7 +212,8 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "for ten episodes": (lambda before, after: (before.count("1") - after.count("1")) / 4,),
     },
     "06.sturdy": {
-        "mvd succeeds in 30 of 40": (["mad"],),
+        "a method is missing": (["mad"],),
+        "one of these fails": (["mad", "mvd", "concat"],),
         "`single` has no First person": (["mad", "mvd", "single"],),
         "found one name": ("mad",),
         "found MAD": (["MAD", "mvd"],),
@@ -231,7 +245,7 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "nearly any result agrees": (PLAN | {"expect": dict.fromkeys(PLAN["expect"], (0, 1))},),
         "take too long": (PLAN | {"episodes": 100},),
         "seeds of the live page": (PLAN | {"first_seed": 10_000},),
-        "seeds of the live page are 2000": (PLAN | {"first_seed": 2_999},),
+        "seeds of the live page are 2000": (PLAN | {"first_seed": 4_999},),
         "a whole number for episodes, found 8.0": (PLAN | {"episodes": 24 / 3},),
         "nothing is written for episodes": (PLAN | {"episodes": ...},),
         "has to be a sentence": (PLAN | {"wrong_if": "never"},),
@@ -241,9 +255,22 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
     "09.verdict": {
         "is not right": (lambda expected, interval: "as planned",),
         "expected one of as planned": (lambda expected, interval: True,),
+        "measured [0.68, 1.0]: 'cannot say' is not right": (half_open,),
     },
 }
 """Check -> what is said about answers that students give."""
+
+
+@pytest.mark.parametrize(
+    ("name", "answer"),
+    [
+        ("00.link", f"#policy={MERGED_ONLY}&vs=metaworld-hammer-mad-light&third_a=black@20"),
+        ("00.link", f"#policy={MERGED_ONLY}&seed=5000&guard=on&a.third_a=both:black@20"),
+        ("09.plan", PLAN | {"first_seed": 3_500}),
+    ],
+)
+def test_another_right_answer_is_right(name: str, answer: Any) -> None:
+    assert judge(name, answer) == checks.Result(name, True)
 
 
 def test_every_check_knows_two_typical_mistakes() -> None:

@@ -33,7 +33,7 @@ from madviz.session.commands import (
 )
 from madviz.session.comparison import open_simulation
 from madviz.session.episode_record import EpisodeRecord
-from madviz.session.frame import NoFrame
+from madviz.session.frame import NoFrame, words
 from madviz.session.replay import replay_episode
 from madviz.session.session import Session
 from madviz.types import CameraSpec
@@ -44,10 +44,13 @@ from tests.sessions import OFF, Recorder, any_task, elsewhere
 def test_a_policy_that_needs_every_stream_says_so():
     session = Recorder(AllOrNothing("toy-stack"))
     session.at(0.0)
-    session.ask(SetCamera("first", OFF))
+    mute = session.ask(SetCamera("first", OFF)).world
     assert np.isnan(session.frames[-1].action).all()
+    assert mute.change and words(mute.change, mute.env).endswith("cannot act on that")
     assert "cannot act on 'third_a+third_b'" in session.steps(1).pace.error
-    session.ask(SetCamera("first", CameraState("rgb")), Play())
+    back = session.ask(SetCamera("first", CameraState("rgb"))).world
+    assert back.change and words(back.change, back.env).endswith("this policy can act again")
+    session.ask(Play())
     assert session.steps(1).pace.error == ""
 
 

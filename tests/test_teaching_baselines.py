@@ -179,7 +179,8 @@ def test_baselines_on_a_robot_share_one_budget(
         "–",
         "0.50 [0.24, 0.76] n=10",
     ]
-    assert on_robot("toy/reach") == {}
+    with pytest.raises(UserError, match="results for toy/reach, found none"):
+        on_robot("toy/reach")
 
 
 def test_the_shipped_baselines_on_push_have_the_same_seeds() -> None:

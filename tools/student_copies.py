@@ -12,7 +12,6 @@ are drawn by MathJax, which a browser fetches; without a network they stay as th
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Callable
 from copy import deepcopy
@@ -71,12 +70,18 @@ COPIES: dict[str, Callable[[NotebookNode], NotebookNode]] = {
 
 
 def make(out: Path, notebooks: Path = NOTEBOOKS) -> list[Path]:
-    """Writes all copies; the folders are made anew. Returns the notebooks that are handed out."""
+    """Writes all copies. Returns the notebooks that are handed out. Ends, with nothing written,
+    where copies are there already: answers may be in them."""
+    there = [out / kind for kind in COPIES if (out / kind).exists()]
+    if there:
+        raise SystemExit(
+            f"expected no folder {there[0]}, found one, in which answers may be; rename "
+            f"{there[0].parent}, or name another: python tools/student_copies.py OUT"
+        )
     for kind, copied in COPIES.items():
         folder, pages = out / kind, out / f"{kind}-html"
         for one in (folder, pages):
-            shutil.rmtree(one, ignore_errors=True)
-            one.mkdir(parents=True)
+            one.mkdir(parents=True, exist_ok=True)
         for file in sorted(notebooks.glob("*.ipynb")):
             copy = copied(nbformat.read(file, 4))
             nbformat.write(copy, folder / file.name)

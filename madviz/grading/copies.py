@@ -16,14 +16,15 @@ it is gone it goes to the end: everything that the student wrote has run by then
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import nbformat
 from nbformat import NotebookNode
 
-from madviz.errors import UserError
+from madviz.errors import UserError, printable
 from madviz.teaching.checks import CHECKS
 
 LARGEST = 50 << 20
@@ -41,6 +42,10 @@ class Returned:
     student: str
     lesson: str
     """'' where its name is none of a lesson."""
+    name: str
+    """The path below the folder that came back, as a table can have it."""
+    alike: int = 1
+    """Files of this student and lesson, this one included."""
 
 
 def handed_out(folder: Path) -> dict[str, NotebookNode]:
@@ -57,13 +62,21 @@ def handed_out(folder: Path) -> dict[str, NotebookNode]:
 
 def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
     """Every file in ``folder``: STUDENT/…/LESSON.ipynb, or STUDENT_LESSON.ipynb side by side."""
+    found = list(_files(folder, lessons))
+    alike = Counter((one.student, one.lesson) for one in found)
+    for one in found:
+        yield replace(one, alike=alike[one.student, one.lesson])
+
+
+def _files(folder: Path, lessons: list[str]) -> Iterator[Returned]:
     for file in sorted(folder.rglob("*")):
         inside = file.relative_to(folder)
         if file.is_dir() and not file.is_symlink() or any(p.startswith(".") for p in inside.parts):
             continue
         lesson = next((name for name in lessons if name in file.stem), "")
         alone = file.stem.replace(lesson, "").strip(" _-.") or file.stem
-        yield Returned(file, inside.parts[0] if len(inside.parts) > 1 else alone, lesson)
+        student = inside.parts[0] if len(inside.parts) > 1 else alone
+        yield Returned(file, printable(student), lesson, printable(str(inside)))
 
 
 def checks_of(notebook: NotebookNode) -> dict[str, NotebookNode]:
@@ -97,16 +110,12 @@ def prepare(file: Path, lesson: NotebookNode) -> tuple[NotebookNode, frozenset[s
             cells.insert(place, check)  # The edited cell stays: an answer may be in it.
         check.source = REPORT.format(name)
         check.metadata = NotebookNode(madviz=name)
-    for cell in cells:
-        if cell.cell_type == "code":
-            cell.outputs = []
-            cell.execution_count = None
     notebook.cells = cells
     return notebook, frozenset(edited)
 
 
 def read_copy(file: Path) -> NotebookNode:
-    """A notebook of whatever version. Raises UserError for anything else."""
+    """A notebook of whatever version, without outputs. Raises UserError for anything else."""
     if file.is_symlink() or not file.is_file():
         raise UserError("expected a notebook, found a link or a device")
     if file.stat().st_size > LARGEST:
@@ -115,10 +124,13 @@ def read_copy(file: Path) -> NotebookNode:
         notebook = nbformat.read(file, 4)
         cells = notebook.cells
         assert all(isinstance(c.source, str) and c.cell_type for c in cells)
+        for cell in cells:
+            cell.metadata = NotebookNode()  # Tags can tell a runner to skip a cell.
+            if cell.cell_type == "code":
+                cell.update(outputs=[], execution_count=None)
+        nbformat.writes(notebook).encode()  # Half of a character can be read, but not written.
     except Exception as error:  # Whatever a student's file may hold.
         raise UserError(
             f"expected a notebook, found another file ({type(error).__name__})"
         ) from error
-    for cell in cells:  # Tags can tell a runner to skip a cell.
-        cell.metadata = NotebookNode()
     return notebook

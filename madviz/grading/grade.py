@@ -1,9 +1,9 @@
 """madviz grade FOLDER: runs every returned notebook and writes a table, one row for each exercise.
 
-    student,lesson,exercise,passed,hint,error
-    ada,02_merge,02.merge,yes,,
-    ada,02_merge,02.mean,no,"with no camera present the result has to be zeros",
-    bob,02_merge,02.merge,no,,"cell 7: did not end within 150 s"
+    student,lesson,exercise,passed,hint,error,file
+    ada,02_merge,02.merge,yes,,,ada/02_merge.ipynb
+    ada,02_merge,02.mean,no,"with no camera present …",,ada/02_merge.ipynb
+    bob,02_merge,02.merge,no,,"cell 7: did not end within 150 s",bob_02_merge.ipynb
 
 The problem: thirty copies by thirty people; some crash, some never end, and in some the checks were
 edited. The idea: each copy runs in a process of its own, in an empty folder with an empty home,
@@ -11,7 +11,7 @@ with limits of time and memory; the checks that count are the installed package'
 and whatever happens to a copy, each of its exercises has its row.
 
 ``hint`` is what the check found missing. ``error`` is what went wrong around it: an error of the
-student's code, a limit, an edited check.
+student's code, a limit, an edited check, a second file of the same student and lesson.
 
 A copy runs with the teacher's account. It does not see the teacher's environment, but code that
 searches the disk finds the teacher's files, and code that changes the package in its own process
@@ -58,7 +58,7 @@ class GradeConfig:
     lessons: Path = Path("build/class/student")
     """The notebooks that were handed out (`make student-copies`)."""
     out: Path = Path("grades.csv")
-    """The table: student, lesson, exercise, passed, hint, error."""
+    """The table: student, lesson, exercise, passed, hint, error, file."""
     seconds: Count = 300
     """The time of one copy, at most; a cell may take half of it."""
     gigabytes: Count = 4
@@ -80,6 +80,7 @@ class Grade:
     passed: bool
     hint: str = ""
     error: str = ""
+    file: str = ""
 
 
 class Graded(TypedDict):
@@ -154,15 +155,14 @@ def graded(
     from madviz.grading.run import run_copy
 
     if not copy.lesson:
-        problem = f"expected a name with one of {', '.join(lessons)}, found {copy.file.name}"
-        return [Grade(copy.student, "", "", False, error=problem)]
+        return [_row(copy, "", f"expected a name with one of {', '.join(lessons)}")]
     exercises = list(checks_of(lessons[copy.lesson]))
     try:
         if copy.file.suffix != SUFFIX:
-            raise UserError(f"expected a notebook, found {copy.file.name}")
+            raise UserError("expected a notebook, found another file")
         notebook, edited = prepare(copy.file, lessons[copy.lesson])
     except UserError as error:
-        return [Grade(copy.student, copy.lesson, e, False, error=str(error)) for e in exercises]
+        return [_row(copy, exercise, str(error)) for exercise in exercises]
     roots = [root.resolve() for root in policy_roots()]
     run = run_copy(notebook, roots, config.seconds, config.gigabytes << 30, stop)
     return list(rows_of(copy, exercises, edited, run))
@@ -179,8 +179,17 @@ def rows_of(
             troubles.append("check edited; the original one was run" if result else "check edited")
         passed = result is not None and result.passed
         hint = "" if result is None or passed else result.missing
-        error = "; ".join(filter(None, troubles))
-        yield Grade(copy.student, copy.lesson, name, passed, hint, error)
+        yield _row(copy, name, *troubles, passed=passed, hint=hint)
+
+
+def _row(
+    copy: Returned, exercise: str, *troubles: str, passed: bool = False, hint: str = ""
+) -> Grade:
+    several = ""
+    if copy.lesson and copy.alike > 1:
+        several = f"one of {copy.alike} files of {copy.student} for {copy.lesson}"
+    error = "; ".join(filter(None, (*troubles, several)))
+    return Grade(copy.student, copy.lesson, exercise, passed, hint, error, copy.name)
 
 
 def table(rows: list[Grade]) -> str:

@@ -44,6 +44,8 @@ class Change:
     q_after: float
     moved: str = ""
     """Where the camera went, in words, if that is what was done."""
+    acts: bool = True
+    """Whether the policy can act after it."""
 
     @classmethod
     def between(
@@ -57,8 +59,9 @@ class Change:
         before and after it."""
         (condition_before, action_before, q_before), (condition, action, q) = readings
         apart = float(np.linalg.norm(action - action_before))
-        before, after = states
-        return cls(camera, before, after, condition_before, condition, apart, q_before, q, moved)
+        conditions = (condition_before, condition)
+        acts = bool(np.isfinite(action).all())
+        return cls(camera, *states, *conditions, apart, q_before, q, moved, acts)
 
 
 class Deed(NamedTuple):
@@ -358,7 +361,7 @@ def words(change: Change, env: EnvSpec) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8``."""
     effect = f"action changed by {change.action_change:.2f}"
     if not np.isfinite(change.action_change):
-        effect = "this policy cannot act on that"
+        effect = f"this policy {'can act again' if change.acts else 'cannot act on that'}"
     if np.isfinite([change.q_before, change.q_after]).all():
         effect += f", Q {change.q_before:.1f} → {change.q_after:.1f}"
     return f"{deed(change, env)}: {effect}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from madviz.errors import UserError
 from madviz.measure.evaluate import evaluate
 from madviz.measure.evidence import find_evidence
 from madviz.observation.ablation import Occlusion
@@ -56,8 +57,7 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
     """Method -> outcomes with all cameras and with each alone, of the trainings of ``task`` that
     were measured before and are comparable: one recipe, one budget, the same seeds, and where some
     methods were trained more often, the trainings that all have. Single Camera is a training per
-    camera and has none with all."""
-
+    camera and has none with all. Raises UserError where none are found."""
     layout = replace(BASELINES, needs=2)
     for root in checkpoint.policy_roots():
         evidence, _ = find_evidence(root, checkpoint.results_beside(root))
@@ -71,4 +71,7 @@ def on_robot(task: str) -> dict[str, dict[str, str]]:
                 }
                 for row in rows
             }
-    return {}
+    raise UserError(
+        f"expected the repository's results for {task}, found none; run this in a clone of it, or "
+        "name its policies: MADVIZ_CHECKPOINTS=CLONE/checkpoints"
+    )

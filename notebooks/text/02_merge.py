@@ -152,10 +152,10 @@ answers(untrained("concat"), toy, subsets)
 # And the next layer grows with the number of cameras, while with a sum it stays as it is:
 
 # %%
-views = [1, 2, 3, 5]
+counts = [1, 2, 3, 5]
 table(
     ["cameras", "numbers into the actor: sum", "side by side"],
-    [[v, FEATURE_SIZE, v * FEATURE_SIZE] for v in views],
+    [[count, FEATURE_SIZE, count * FEATURE_SIZE] for count in counts],
 )
 
 # %% [markdown]
@@ -173,7 +173,7 @@ explorer
 #
 # Write `merge` for one time step, with NumPy. `features` has one row per camera, as
 # `now.probe.features` has, and `present` says which cameras are there: `[True, False, True]` is a
-# row of `every_mask(3)`.
+# row of `every_mask(3)`. With no camera present the result is a zero for each number.
 
 
 # %% tags=["answer"]

@@ -31,6 +31,9 @@ test('link', () => {
   assert.match(linkLacks(`${own}&first=black@20`), /another camera/);
   assert.match(linkLacks(`${own}&third_a=black`), /at step 0/);
   assert.match(linkLacks(own), /No camera/);
+  assert.match(linkLacks(`${own}&third_a=off@10&third_a=black@20`), /More than one thing/);
+  assert.match(linkLacks(`${own}&vs=${MAD}&b.third_a=black@20`), /side B/);
+  assert.equal(linkLacks(`${own}&vs=${MAD}&third_a=both:black@20`), '');
   assert.match(linkLacks(`${own}&third a=black`), /cannot be read/);
 });
 

@@ -38,7 +38,10 @@ test('a change says what was done and what came of it', () => {
   assert.match(changeWords({...change, before: off, after: intact()}, CAMERAS), /^Third A is back:/);
   const black = {...intact(), occlusion: {...noOcclusion(), kind: 'black'}};
   assert.match(changeWords({...change, before: off, after: black}, CAMERAS), /^Third A sends black:/);
-  assert.match(changeWords({...change, action_change: NaN}, CAMERAS), /cannot act on that$/);
+  const mute = {...change, action_change: NaN, q_after: NaN};
+  assert.match(changeWords(mute, CAMERAS), /cannot act on that$/);
+  assert.match(changeWords({...mute, q_after: 9, before: off, after: intact()}, CAMERAS),
+    /^Third A is back: this policy can act again$/);
 });
 
 test('failures and moves in words', () => {

@@ -59,6 +59,7 @@ export function linkLacks(text) {
   const [event, ...more] = state.events;
   if (!event || !event.state) return 'No camera is switched in this link.';
   if (more.length) return 'More than one thing happens in this link.';
+  if (event.side === 'second') return 'This happens on side B, which is another policy.';
   if (event.camera !== 'third_a') return 'This is another camera than Third A.';
   if (event.state.input === 'off') return 'Off leaves the sum; black stays in it.';
   if (event.state.occlusion.kind !== 'black') return 'Third A sends something else than black.';

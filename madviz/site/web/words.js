@@ -130,7 +130,9 @@ export function changeWords(change, cameras) {
 
 /** @param {NonNullable<World['change']>} change */
 export function effectWords(change) {
-  if (!Number.isFinite(change.action_change)) return 'this policy cannot act on that';
+  if (!Number.isFinite(change.action_change)) {
+    return `this policy ${Number.isFinite(change.q_after) ? 'can act again' : 'cannot act on that'}`;
+  }
   const action = `action changed by ${change.action_change.toFixed(2)}`;
   if (!Number.isFinite(change.q_before) || !Number.isFinite(change.q_after)) return action;
   return `${action}, Q ${change.q_before.toFixed(1)} → ${change.q_after.toFixed(1)}`;

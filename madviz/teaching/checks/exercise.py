@@ -127,6 +127,7 @@ def call(function: Any, *given: Any) -> Any:
     if not callable(function):
         raise Missing(f"expected a function, found {function!r:.60}")
     found = function(*deepcopy(given))
+    expect(found is not None, "the function returned nothing here; is a `return` missing?")
     if blank(found):
         raise Blank
     return found
@@ -139,10 +140,10 @@ def expect(condition: Any, words: str) -> None:
 
 
 def same(found: Any, expected: Array, words: str) -> None:
-    """Says ``words`` where ``found`` has other numbers, or its shape where that differs."""
+    """Says ``words`` where ``found`` has other numbers; its shape, too, where that differs."""
     array = np.asarray(found, float)
     shapes = f"expected an array of the shape {expected.shape}, found {array.shape}"
-    expect(array.shape == expected.shape, shapes)
+    expect(array.shape == expected.shape, f"{words}: {shapes}")
     expect(np.allclose(array, expected, atol=1e-5), words)
 
 
