@@ -95,9 +95,11 @@ def guard_alarms(config: GuardAlarmsConfig) -> list[AlarmsFile]:
     config.out.mkdir(parents=True, exist_ok=True)
     results = []
     for name in config.policies:
-        file = config.out / f"{Path(name).name}.json"
+        policy = checkpoint.load_policy(with_guard(name, True))
+        file = config.out / f"{Path(name).name}-{policy.spec.digest[:8]}.json"
         if not file.is_file() or read_json(file)["seeds"] != list(seeds):
-            write_json(file, _alarms(name, seeds))
+            assert isinstance(policy, GuardedPolicy)
+            write_json(file, _alarms(policy, seeds))
         results.append(read_json(file))
     return results
 
@@ -121,9 +123,7 @@ def alarms_words(results: list[AlarmsFile]) -> str:
     return "\n".join(lines)
 
 
-def _alarms(name: str, seeds: range) -> AlarmsFile:
-    policy = checkpoint.load_policy(with_guard(name, True))
-    assert isinstance(policy, GuardedPolicy)
+def _alarms(policy: GuardedPolicy, seeds: range) -> AlarmsFile:
     spec = policy.inner.spec
     cameras = cameras_of(spec.streams)
     steps: dict[tuple[str, str], list[int | None]] = {}

@@ -82,6 +82,8 @@ class EnvSpec:
     that the state does not hold by itself."""
     state_angles: tuple[int, ...] = ()
     """The state numbers that are angles or their speeds, in radians."""
+    robot_place: tuple[int, ...] = ()
+    """The state numbers that say where the robot is, no speeds and no past ones; none: all."""
     gripper: Literal["", "closes at 1", "closes at -1"] = ""
     """The effect of the last number of an action on the gripper; '' where it has none."""
     success: str = "at the last step"
@@ -89,8 +91,7 @@ class EnvSpec:
     instruction: str = ""
     """The task in words, for a policy that takes language."""
     action_spread: tuple[float, ...] = ()
-    """Standard deviation of each number of the recorded actions, 0 for one that never changes. Only
-    recordings have it."""
+    """Standard deviation of each number of the recorded actions; only recordings have it."""
     start_state: tuple[int, ...] = ()
     """The state numbers that tell where the object began, whatever the cameras show."""
 

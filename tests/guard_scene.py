@@ -132,6 +132,7 @@ SHOWS: dict[str, list[Show]] = {
     "late from step 0": late(5),
     "late from step 20": late(5, 20),
     "late for a while": [step if step >= 40 else value for step, value in enumerate(late(4, 20))],
+    "late, and one is black": ["black" if step == 30 else s for step, s in enumerate(late(5, 20))],
     "black, then frozen, then fine": [
         "black" if 10 <= step < 15 else 14 if 15 <= step < 25 else step for step in range(STEPS)
     ],

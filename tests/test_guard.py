@@ -13,7 +13,7 @@ import pytest
 
 from madviz.errors import UserError
 from madviz.guard.detector import Guard
-from madviz.guard.fit import blank_steps, fit_values, seen_episode
+from madviz.guard.fit import blank_steps, blind_streams, fit_values, seen_episode
 from madviz.guard.pictures import sums_of
 from madviz.guard.policy import GuardedPolicy, guard_note
 from madviz.guard.values import LARGEST, GuardValues, read_values, write_values
@@ -90,6 +90,35 @@ def test_a_robot_that_stands_is_no_frozen_camera() -> None:
     assert (moved.kind, moved.since) == ("frozen", 30)
 
 
+def trembling(seed: int, stand: range) -> tuple[list[Array], Array]:
+    """Pictures, and states (T, 4): where the hand is and was, and a joint that trembles. The hand
+    stands at the steps of ``stand``."""
+    places = scene.walk(seed)
+    places = [places[min(step, stand.start)] for step in range(stand.stop)] + places[stand.start :]
+    before = [places[0], *places[:-1]]
+    joint = np.array([0.1 * (number % 3 - 1) for number in scene.draws(seed, len(places))])
+    states = [[*now, *was, size] for now, was, size in zip(places, before, joint, strict=True)]
+    return [scene.picture(place) for place in places], np.array(states, np.float64)
+
+
+def test_what_changes_behind_equal_pictures_is_no_movement() -> None:
+    fitted = []
+    for seed in range(8):
+        pictures, states = trembling(seed, range(20, 35))
+        fitted.append(seen_episode([{"camera": one} for one in pictures], states))
+    values = fit_values(fitted, (42, 42))
+    alarms = []
+    for seed in range(300, 310):
+        guard = Guard(values)
+        for picture, state in zip(*trembling(seed, range(10, 30)), strict=True):
+            alarms.append(guard.step({"camera": picture}, state)["camera"].kind)
+    assert set(alarms) == {"fine"}
+    frozen = Guard(values)
+    pictures, states = trembling(300, range(10, 12))
+    kinds = [frozen.step({"camera": pictures[5]}, state)["camera"].kind for state in states[5:9]]
+    assert kinds == ["fine", "frozen", "frozen", "frozen"], "where the hand moves, it still counts"
+
+
 def test_lateness_is_read_from_movements_where_no_picture_repeats() -> None:
     """The camera was late before the guard looked, so the table's repeats are missing."""
     found = 0
@@ -149,6 +178,23 @@ def test_fitting_refuses_too_little() -> None:
     still = seen_episode([{"camera": scene.picture((20, 20))}] * 9, np.zeros((9, 2)))
     with pytest.raises(UserError, match="robot moves"):
         fit_values([still] * 4, (42, 42))
+    with pytest.raises(UserError, match="places in a state of 2 numbers, found 2"):
+        fit_values([scene.episode(seed) for seed in range(4)], (42, 42), state=(0, 2))
+
+
+@pytest.mark.parametrize(
+    ("pictures", "states", "words"),
+    [
+        (["camera"] * 3, np.zeros((2, 2)), r"each of 3 steps, found states of shape \(2, 2\)"),
+        (["camera"] * 3, np.full((3, 2), np.nan), "finite numbers"),
+        (["camera", "other"], np.zeros((2, 2)), "the same streams at every step"),
+        ([], np.zeros((0, 2)), "the same streams"),
+    ],
+)
+def test_an_episode_has_all_of_every_step(pictures: list, states: Array, words: str) -> None:
+    shown = [{name: scene.picture((20, 20))} for name in pictures]
+    with pytest.raises(UserError, match=words):
+        seen_episode(shown, states)
 
 
 def test_a_picture_that_shows_nothing_of_the_robot_gives_no_weights() -> None:
@@ -174,7 +220,11 @@ def test_a_black_picture_among_those_that_are_fitted_switches_nothing_off() -> N
         assert scene.verdicts(values, 100, scene.SHOWS[name]) == kinds
     dark = [replace(one, sums={"camera": (black,) * len(sums)}) for one in episodes]
     assert blank_steps(dark, size) == {"camera": []}, "black is what this stream shows"
-    assert fit_values(dark, size).streams["camera"].dark == 441
+    assert blind_streams(dark, size) == ["camera"] and blind_streams(fitted, size) == []
+    shows = fit_values(dark, size)
+    assert shows.streams["camera"].dark == 441
+    works = Guard(shows).step({"camera": scene.picture((20, 20))}, np.zeros(2))["camera"]
+    assert works.why.endswith("; 0 or less is usual"), "its roughness was 0"
     short = [seen_episode([{"camera": np.zeros((*size, 3), np.uint8)}] * 5, np.zeros((5, 2)))] * 5
     with pytest.raises(UserError, match="in which camera shows something, found 3"):
         fit_values([*episodes[:3], *short], size)
@@ -274,7 +324,7 @@ def test_a_stream_that_never_changes_can_be_fitted() -> None:
         states = np.array([scene.state(place) for place in scene.walk(seed)])
         episodes.append(seen_episode([{"camera": scene.picture((20, 20))}] * len(states), states))
     values = fit_values(episodes, (42, 42)).streams["camera"]
-    assert values.numbers == () and values.reach > 0
+    assert values.numbers == () and min(values.reach) > 0
 
 
 def test_where_it_cannot_be_left_out_the_last_good_picture_stands_in() -> None:
@@ -286,6 +336,36 @@ def test_where_it_cannot_be_left_out_the_last_good_picture_stands_in() -> None:
     always = scene.from_step(0, "black")
     steps = play(policy, {"first": always, "third_a": INTACT, "third_b": INTACT})
     assert "first has none and is used as it comes" in steps[0][2]
+
+
+@pytest.mark.parametrize("way", ["covered", "blurred"])
+def test_a_bad_picture_never_stands_in(way: str) -> None:
+    """These kinds are noticed at their second picture."""
+    policy = GuardedPolicy(MaskPolicy(needs=("first",)), values_for(STREAMS))
+    shows = {"first": scene.from_step(3, way), "third_a": INTACT, "third_b": INTACT}
+    steps = play(policy, shows)
+    assert steps[3][1][0] != steps[2][1][0] == steps[4][1][0] == steps[11][1][0]
+
+
+def test_what_stands_in_is_a_copy() -> None:
+    policy = GuardedPolicy(MaskPolicy(needs=STREAMS), values_for(STREAMS))
+    player = policy.reset(0)
+    views = np.tile(scene.picture(scene.walk(100)[0]).transpose(2, 0, 1), (3, 3, 1, 1))
+    state = scene.state(scene.walk(100)[0])
+    bright = player.act(policy.encode(views, state), np.ones(3, bool))
+    views[:] = 0
+    assert (player.act(policy.encode(views, state), np.ones(3, bool)) == bright).all()
+
+
+def test_only_what_is_needed_stands_in() -> None:
+    policy = GuardedPolicy(MaskPolicy(needs=("first",)), values_for(STREAMS))
+    always = scene.from_step(0, "black")
+    steps = play(policy, {"first": scene.from_step(5, "black"), "third_a": always,
+                          "third_b": INTACT})  # fmt: skip
+    assert steps[4] == ([True, False, True], steps[4][1], "third_a left out")
+    mask, brightness, note = steps[5]
+    assert mask == [True, False, True] and brightness[0] == steps[4][1][0]
+    assert note == ("third_a left out; p cannot leave out first: the last good picture stands in")
 
 
 def test_or_the_episode_stops() -> None:

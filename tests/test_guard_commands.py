@@ -6,6 +6,7 @@ import json
 from contextlib import closing
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from madviz.envs.registry import SETTINGS, make_env
 from madviz.errors import UserError
 from madviz.guard.fit import fit_values
 from madviz.guard.policy import GuardedPolicy, GuardReport
-from madviz.guard.values import read_values
+from madviz.guard.values import FILE, read_values, write_values
 from madviz.measure.audit.audit import AuditConfig, audit_words, command, run_audit
 from madviz.measure.compare import CompareConfig, comparison_table, run_compare
 from madviz.measure.evaluate import EvalConfig, evaluate, run_eval, success_table
@@ -26,6 +27,8 @@ from madviz.observation.condition import Condition
 from madviz.policies.checkpoint import describe, load_policy
 from madviz.recording.record import RecordConfig, run_record
 from madviz.serving.episodes import BadLook, ServedEpisodes
+from madviz.session.replay import finder
+from madviz.session.session_file import SavedPolicy
 from madviz.subsets import camera_of
 from madviz.types import Policy
 from tests.checkpoints import saved
@@ -128,17 +131,29 @@ def test_alarms_of_a_policy_are_counted_and_kept(guarded, tmp_path) -> None:
     black = next(row for row in found["noticed"] if row["way"] == "black")
     assert black["steps"] == [0]
     assert "first black: 1 of 1" in alarms_words([found])
-    file = tmp_path / f"{guarded.name}.json"
+    (file,) = tmp_path.glob("*.json")
     file.write_text(json.dumps({**found, "policy": "kept"}))
     assert guard_alarms(config)[0]["policy"] == "kept"
+    values = read_values(guarded / FILE, "fit")
+    write_values(guarded / FILE, msgspec.structs.replace(values, seeds=(1,)))
+    assert guard_alarms(config)[0]["policy"] != "kept", "this is another guard"
+    write_values(guarded / FILE, values)
+
+
+def test_a_saved_episode_finds_its_guard_behind_the_policy_that_was_typed(guarded) -> None:
+    find = finder((str(guarded),))
+    spec = load_policy(f"guard:{guarded}").spec
+    assert find(SavedPolicy.of(spec)).spec == spec
+    bare = load_policy(str(guarded)).spec
+    assert find(SavedPolicy.of(bare)).spec == bare
 
 
 def guarded_with(policy: Policy) -> GuardedPolicy:
     """The policy with a guard that is fitted on four of its episodes."""
     spec = policy.spec
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
-        episodes = [play_intact(policy, env, seed, 0.2) for seed in range(900, 904)]
-        places = env.spec.paper_state
+        episodes = [play_intact(policy, env, seed, True) for seed in range(900, 904)]
+        places = env.spec.robot_place
     size = (spec.image_size, spec.image_size)
     return GuardedPolicy(policy, fit_values(episodes, size, places))
 

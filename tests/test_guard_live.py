@@ -40,8 +40,8 @@ GUARDED = f"guard:{NAME}"
 def guarded() -> GuardedPolicy:
     policy = FakePolicy(NAME)
     with closing(make_env("toy/reach", policy.spec.render_profile, policy.spec.cameras)) as env:
-        episodes = [play_intact(policy, env, seed, 0.2) for seed in range(900, 904)]
-        places = env.spec.paper_state
+        episodes = [play_intact(policy, env, seed, True) for seed in range(900, 904)]
+        places = env.spec.robot_place
     size = (policy.spec.image_size, policy.spec.image_size)
     return GuardedPolicy(policy, fit_values(episodes, size, places))
 

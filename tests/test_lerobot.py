@@ -150,7 +150,7 @@ def test_a_camera_that_the_guard_leaves_out_is_none_that_was_given() -> None:
     policy = FakePolicy()
     schedule = recording.parse_schedule(("first=black@3",), CAMERAS)
     with closing(make_env("toy/reach")) as env:
-        fitted = fit_values([play_intact(policy, env, seed, 0.2) for seed in range(4)], (84, 84))
+        fitted = fit_values([play_intact(policy, env, seed, True) for seed in range(4)], (84, 84))
         played = list(policy_decisions(GuardedPolicy(policy, fitted), env, schedule, 5))
     masks = np.array([one.mask for one in played])
     assert masks[:, 1:].all() and list(np.flatnonzero(masks[:, 0])) == [0, 1, 2]

@@ -61,6 +61,7 @@ class ToyReach(PlacedCameras):
             action_dim=2,
             horizon=25,
             state_changes=((4, 2), (5, 3)),
+            robot_place=(4, 5),
             success=f"the hand is within {RADIUS} m of the target",
             instruction=INSTRUCTIONS[f"toy/{task}"],
         )

@@ -109,6 +109,11 @@ class Guard:
         self.now += 1
         return {name: self._watched[name].verdict for name in pictures}
 
+    def good(self, name: str) -> bool:
+        """Whether the newest picture of a stream is one to keep: a verdict of *covered* or
+        *blurred* comes one picture late."""
+        return self._watched[name].good
+
 
 class _Stream:
     """One stream: what its last pictures were, and the verdict on it."""
@@ -116,7 +121,7 @@ class _Stream:
     def __init__(self, usual: StreamValues, values: GuardValues) -> None:
         self._values = usual
         self._size = values.size
-        self._reach = max(2 * usual.reach, SMALLEST)
+        self._reach = np.maximum(2 * np.array(usual.reach), SMALLEST)  # (numbers,)
         self._lag = LagTest(usual, len(values.state))
         self.restart()
 
@@ -133,10 +138,18 @@ class _Stream:
         self._suspect: Kind = "fine"
         self._suspected = 0
         self._good = 0
+        self._behind = 0
+        """Steps by which the pictures are known to be late."""
         self._forget()
 
+    @property
+    def good(self) -> bool:
+        """Whether nothing was wrong with the newest picture, nor with the stream before."""
+        return self.verdict.fine and self._suspect == "fine"
+
     def _forget(self) -> None:
-        """Forgets the pictures: the next one is not compared with any."""
+        """Forgets the pictures: the next one is not compared with any. One that was lost does not
+        show that a late camera is on time."""
         self._lag.restart()
         self._past: deque[PictureSums] = deque(maxlen=LAGS)
         """The pictures that came, the newest first."""
@@ -146,8 +159,6 @@ class _Stream:
         """Steps since the picture last changed."""
         self._stopped = False
         """True where the picture has not changed since a freeze was noticed."""
-        self._behind = 0
-        """Steps by which the pictures are known to be late."""
         self._lags = 0
         """Steps in a row in which lags say that the picture is late."""
         self._stops: deque[int] = deque(maxlen=2)
@@ -197,7 +208,7 @@ class _Stream:
         if sums.dark >= usual.dark + COVERED:
             return "covered", f"{sums.dark} of {len(sums.cells)} cells are black"
         if sums.rough > 1.5 * usual.rough:
-            return "noise", f"{sums.rough / usual.rough:.1f} times as rough as the roughest usual"
+            return "noise", f"roughness {sums.rough}; {usual.rough} or less is usual"
         if sums.edges < 0.4 * usual.edges:
             return "blurred", f"{sums.edges} edges; {usual.edges} or more are usual"
         return "fine", ""
@@ -252,7 +263,7 @@ class _Stream:
     def _repeated(self, path: Path, now: int) -> tuple[Kind, str]:
         """The picture is the last one again. That is a fault only where the robot moved."""
         self._repeats += 1
-        if np.abs(path.states[0] - self._anchor).max() <= self._reach:
+        if not self._moved(path.states[0], self._anchor):
             return ("late", "it was late, and the robot stands") if self._behind else ("fine", "")
         if not self._stopped:
             self._stopped = True
@@ -266,6 +277,10 @@ class _Stream:
         is new or the last one again."""
         for ago, past in enumerate(self._past, 1):
             if past.spread == sums.spread and np.array_equal(past.cells, sums.cells):
-                moved = np.abs(path.states[0] - path.states[ago]).max() > self._reach
+                moved = self._moved(path.states[0], path.states[ago])
                 return ago if moved and ago > 1 else 0
         return 0
+
+    def _moved(self, here: Array, there: Array) -> bool:
+        """Whether a working camera would show that the robot is elsewhere."""
+        return bool((np.abs(here - there) > self._reach).any())

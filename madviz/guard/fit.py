@@ -10,8 +10,9 @@ import numpy as np
 
 from madviz.errors import UserError
 from madviz.guard.detector import COVERED
+from madviz.guard.lag import LAGS
 from madviz.guard.pictures import CELLS, PictureSums, sums_of
-from madviz.guard.values import GuardValues, StreamValues, encoded_weights
+from madviz.guard.values import SCHEMA, GuardValues, StreamValues, encoded_weights
 from madviz.types import Array
 
 SPANS = (1, 3, 6)
@@ -39,10 +40,19 @@ class SeenEpisode:
 
 
 def seen_episode(pictures: Iterable[Mapping[str, Array]], states: Array) -> SeenEpisode:
-    """One episode of its ``pictures`` by stream, one table for each step, and ``states`` (T, S)."""
+    """One episode of its ``pictures`` by stream, one table for each step, and ``states`` (T, S).
+    Raises UserError where a step lacks a picture or a state of finite numbers."""
     steps = [{name: sums_of(picture) for name, picture in step.items()} for step in pictures]
-    sums = {name: tuple(step[name] for step in steps) for name in steps[0]}
-    return SeenEpisode(sums, np.asarray(states, np.float64))
+    states = np.asarray(states, np.float64)
+    if states.ndim != 2 or len(states) != len(steps) or not np.isfinite(states).all():
+        raise UserError(
+            f"expected a state of finite numbers for each of {len(steps)} steps, found states of "
+            f"shape {states.shape}; leave the episode out"
+        )
+    streams = list(steps[0]) if steps else []
+    if not streams or any(step.keys() != set(streams) for step in steps):
+        raise UserError("expected pictures of the same streams at every step, found others")
+    return SeenEpisode({name: tuple(step[name] for step in steps) for name in streams}, states)
 
 
 def fit_values(
@@ -55,11 +65,14 @@ def fit_values(
 
     ``state``: the places in the state that say where the robot is, by default all. Pictures of
     ``blank_steps`` are left out. Raises UserError for fewer than four episodes, also of one stream,
-    and for a robot that never moved.
+    for a place that the state does not have, and for a robot that never moved.
     """
     if len(episodes) < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {len(episodes)}")
-    places = state or tuple(range(episodes[0].states.shape[1]))
+    numbers = episodes[0].states.shape[1]
+    places = state or tuple(range(numbers))
+    if max(places) >= numbers:
+        raise UserError(f"expected places in a state of {numbers} numbers, found {max(places)}")
     together = np.concatenate([episode.states[:, list(places)] for episode in episodes])
     deviation = together.std(0)
     moving = deviation > 1e-6
@@ -70,7 +83,7 @@ def fit_values(
     positions = [episode.states[:, list(places)] / np.array(unit) for episode in episodes]
     blank = blank_steps(episodes, size)
     return GuardValues(
-        schema=1,
+        schema=SCHEMA,
         size=size,
         state=places,
         unit=unit,
@@ -86,19 +99,31 @@ def blank_steps(
     episodes: list[SeenEpisode], size: tuple[int, int]
 ) -> dict[str, list[tuple[int, int]]]:
     """By stream, the place of an episode and the step of each picture that is even, or so dark that
-    no covered lens would be darker; none for a stream of which half the pictures or more are so."""
+    no covered lens would be darker; none for ``blind_streams``."""
+    blind = blind_streams(episodes, size)
+    return {
+        name: [] if name in blind else _blank(name, episodes, size) for name in episodes[0].sums
+    }
+
+
+def blind_streams(episodes: list[SeenEpisode], size: tuple[int, int]) -> list[str]:
+    """The streams of which half the pictures or more are even or dark. That is how they usually
+    are, so a camera that sends black is not noticed there."""
+    return [
+        name
+        for name in episodes[0].sums
+        if 2 * len(_blank(name, episodes, size)) >= sum(len(one.sums[name]) for one in episodes)
+    ]
+
+
+def _blank(name: str, episodes: list[SeenEpisode], size: tuple[int, int]) -> list[tuple[int, int]]:
     even = EVEN * 3 * size[0] * size[1] / CELLS**2
-    found: dict[str, list[tuple[int, int]]] = {}
-    for name in episodes[0].sums:
-        steps = [
-            (place, step)
-            for place, episode in enumerate(episodes)
-            for step, picture in enumerate(episode.sums[name])
-            if picture.spread < even or picture.dark + COVERED > CELLS**2
-        ]
-        few = 2 * len(steps) < sum(len(episode.sums[name]) for episode in episodes)
-        found[name] = steps if few else []
-    return found
+    return [
+        (place, step)
+        for place, episode in enumerate(episodes)
+        for step, picture in enumerate(episode.sums[name])
+        if picture.spread < even or picture.dark + COVERED > CELLS**2
+    ]
 
 
 def _shown(
@@ -137,23 +162,26 @@ def _stream(sums: list[tuple[PictureSums, ...]], positions: list[Array]) -> Stre
         dark=max(picture.dark for picture in every),
         rough=max(picture.rough for picture in every),
         edges=min(picture.edges for picture in every),
-        reach=max(map(_reach, cells, positions)),
+        reach=tuple(np.max([*map(_reach, cells, positions)], 0).round(6).tolist()),
         numbers=numbers,
         scales=scales,
         weights=weights,
     )
 
 
-def _reach(cells: Array, positions: Array) -> float:
-    """The largest movement while the picture stayed the same, in one episode."""
+def _reach(cells: Array, positions: Array) -> Array:
+    """(numbers,): the largest movement, in one episode, while the picture stayed the same or
+    between two pictures that are the same, up to ``LAGS`` steps apart."""
     anchor = 0
-    largest = 0.0
+    largest = np.zeros(positions.shape[1])
     for step in range(1, len(cells)):
         if (cells[step] != cells[step - 1]).any():
             anchor = step
-        else:
-            largest = max(largest, float(np.abs(positions[step] - positions[anchor]).max()))
-    return round(largest, 6)
+        past = slice(max(step - LAGS, 0), step)
+        same = (cells[past] == cells[step]).all(1)  # (up to LAGS,)
+        others = np.concatenate([positions[past][same], positions[anchor : anchor + 1]])
+        largest = np.maximum(largest, np.abs(others - positions[step]).max(0))
+    return largest
 
 
 def _readable(cells: list[Array], positions: list[Array]) -> tuple[int, ...]:

@@ -15,6 +15,7 @@ import hashlib
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -173,9 +174,11 @@ class GuardedPlayer:
         self.report, used = self._look(self._guard, encoded, mask)
         if self.noticed is None and self.report.failed:
             self.noticed = self.report.step
-        for index, stream in enumerate(self._policy.spec.streams):
-            if mask[index] and camera_of(stream) not in self.report.failed:
-                self._last_good[stream] = encoded.private.views[index]
+        streams = self._policy.spec.streams
+        bad = {camera_of(stream) for stream in self.report.verdicts if not self._guard.good(stream)}
+        for index, stream in enumerate(streams):
+            if mask[index] and camera_of(stream) not in bad:
+                self._last_good[stream] = encoded.private.views[index].copy()
         if self._player is not None:
             return self._player.act(_without(used), self.report.mask)
         return self._policy.read(used, self.report.mask[None]).action[0]
@@ -202,31 +205,53 @@ class GuardedPlayer:
         failed = report.failed
         if not failed:
             return report, encoded
-        works = mask & np.array([camera_of(stream) not in failed for stream in streams])  # (V,)
-        if not self._policy.supports(works):
-            return self._stood_in(encoded, report)
-        rest = "" if works.any() else "; no camera is left: the policy acts on the state"
-        return replace(report, mask=works, note=f"{_list(failed)} left out{rest}"), encoded
+        needed = self._needed(mask, failed)
+        used = mask & _outside(streams, failed - needed)  # (V,)
+        out = f"{_list(failed - needed)} left out" if failed - needed else ""
+        if needed:
+            encoded, stands_in = self._stood_in(encoded, needed)
+            note = f"{out}; {stands_in}" if out else stands_in
+        else:
+            rest = "" if used.any() else "; no camera is left: the policy acts on the state"
+            note = f"{out}{rest}"
+        return replace(report, mask=used, note=note), encoded
 
-    def _stood_in(self, encoded: Encoded, report: GuardReport) -> tuple[GuardReport, Encoded]:
-        """The features with the last good pictures of the cameras that failed."""
-        failed = report.failed
+    def _needed(self, mask: Array, failed: frozenset[str]) -> frozenset[str]:
+        """The fewest cameras among ``failed`` without which the policy cannot act, those with a
+        good picture first; none where it can do without all of them."""
+        streams = self._policy.spec.streams
+        blind = {camera_of(name) for name in streams if name not in self._last_good}
+        choices = [
+            frozenset(choice)
+            for count in range(len(failed))
+            for choice in combinations(sorted(failed), count)
+        ]
+        able = [
+            choice
+            for choice in choices
+            if self._policy.supports(mask & _outside(streams, failed - choice))
+        ]
+        return min(able, key=lambda choice: (len(choice & blind), len(choice)), default=failed)
+
+    def _stood_in(self, encoded: Encoded, needed: frozenset[str]) -> tuple[Encoded, str]:
+        """The features with the last good pictures of the cameras that are ``needed``, and the
+        words for it."""
         name = self._policy.inner.spec.name
         if self._policy.instead == "stop":
             raise UserError(
-                f"expected cameras that {name} can act on, found {_list(failed)} failing, without "
+                f"expected cameras that {name} can act on, found {_list(needed)} failing, without "
                 "which it cannot act; repair the camera, or choose the last good picture"
             )
         views = encoded.private.views.copy()  # (V, C, H, W)
         missing = set()
         for index, stream in enumerate(self._policy.spec.streams):
-            if camera_of(stream) in failed:
+            if camera_of(stream) in needed:
                 missing |= set() if stream in self._last_good else {camera_of(stream)}
                 views[index] = self._last_good.get(stream, views[index])
-        note = f"{name} cannot leave out {_list(failed)}: the last good picture stands in"
+        note = f"{name} cannot leave out {_list(needed)}: the last good picture stands in"
         if missing:
             note += f"; {_list(missing)} has none and is used as it comes"
-        return replace(report, note=note), self._policy.encode(views, encoded.state)
+        return self._policy.encode(views, encoded.state), note
 
 
 def guard_note(policy: Policy) -> str:
@@ -246,6 +271,11 @@ def guard_note(policy: Policy) -> str:
         return f"{words}."
     last = "its last good picture stands in" if policy.instead == "last" else "the episode stops"
     return f"{words}; where that is not possible ({', '.join(stuck)}), {last}."
+
+
+def _outside(streams: tuple[str, ...], cameras: frozenset[str]) -> Array:
+    """(V,) bool: the streams of all other cameras."""
+    return np.array([camera_of(stream) not in cameras for stream in streams])
 
 
 def _without(encoded: Encoded) -> Encoded:

@@ -21,6 +21,7 @@ from madviz.system.typed import typed
 from madviz.types import Array
 
 FILE = "guard.json"
+SCHEMA = 2
 LARGEST = 20_000
 """Bytes of the file."""
 
@@ -35,8 +36,9 @@ class StreamValues(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rough: int
     edges: int
     """The smallest."""
-    reach: float
-    """The largest movement of the robot during which the picture stayed the same."""
+    reach: tuple[float, ...]
+    """By number of the robot (``GuardValues.state``), the largest change between two pictures that
+    were the same: so a joint may tremble, and a speed may change, where a hand may not move."""
     numbers: tuple[int, ...] = ()
     """Those of the robot's numbers (places in ``GuardValues.state``) whose change can be read from
     a change of the cells; none: lateness cannot be detected."""
@@ -95,7 +97,8 @@ def read_values(file: Path, fit: str) -> GuardValues:
                 f"{file}: expected {CELLS * CELLS} weights for each number of {name}, found "
                 f"others; run `{fit}`"
             ) from error
-    if values.schema != 1 or len(values.unit) != len(values.state):
+    counts = {len(values.unit), *(len(stream.reach) for stream in values.streams.values())}
+    if values.schema != SCHEMA or counts != {len(values.state)}:
         raise UserError(f"{file}: expected values of this version, found others; run `{fit}`")
     return values
 

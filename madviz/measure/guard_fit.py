@@ -1,7 +1,8 @@
 """``madviz guard --policy P``: fits the values of a policy's guard, guard.json beside it.
 
 The policy plays intact episodes of training seeds (``policies/seeds.py``) with all cameras. In
-every second one, a fifth of its decisions are random, so that the robot is also seen elsewhere.
+every second one, a fifth of its decisions are random, so that the robot is also seen elsewhere, and
+for a quarter of the episode it stands, so that the guard knows how much a robot that stands moves.
 For a policy that learned from recordings, its training episodes play as they were recorded.
 """
 
@@ -16,7 +17,14 @@ import numpy as np
 
 from madviz.envs.registry import make_env
 from madviz.errors import UserError
-from madviz.guard.fit import FEWEST, SeenEpisode, blank_steps, fit_values, seen_episode
+from madviz.guard.fit import (
+    FEWEST,
+    SeenEpisode,
+    blank_steps,
+    blind_streams,
+    fit_values,
+    seen_episode,
+)
 from madviz.guard.policy import GuardedPolicy
 from madviz.guard.values import FILE, write_values
 from madviz.measure.episodes import one_thread
@@ -39,6 +47,9 @@ FIRST_SEED = FIRST_TRAINING + 900
 """The last hundred training seeds."""
 RANDOM = 0.2
 """The share of random decisions in every second episode."""
+STANDS = slice(0.5, 0.75)
+"""The part of such an episode in which every number of the action is 0; in every second one, the
+last number, often a gripper's, stays as it was."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,8 @@ class FittedFile(TypedDict):
     seeds: list[int]
     late: dict[str, bool]
     """By stream: True where the robot's movements alone show that a picture is late."""
+    blind: list[str]
+    """Streams that show nothing in half of their pictures or more: black is not noticed there."""
     left_out: list[str]
     """A line for each episode that cannot be decoded, and for each stream's blank pictures."""
 
@@ -98,10 +111,10 @@ def run_guard(config: GuardConfig) -> FittedFile:
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
         check_environment(spec, env.spec)
         episodes = [
-            play_intact(policy, env, seed, RANDOM if number % 2 else 0.0)
+            play_intact(policy, env, seed, disturbed=number % 2 == 1)
             for number, seed in enumerate(seeds)
         ]
-        places = env.spec.paper_state
+        places = env.spec.robot_place
     size = (spec.image_size, spec.image_size)
     values = fit_values(episodes, size, places, tuple(seeds))
     write_values(out, values)
@@ -112,6 +125,7 @@ def run_guard(config: GuardConfig) -> FittedFile:
         "bytes": out.stat().st_size,
         "seeds": list(seeds),
         "late": {name: bool(stream.numbers) for name, stream in values.streams.items()},
+        "blind": blind_streams(episodes, size),
         "left_out": [*left_out, *_blank_words(blank_steps(episodes, size), seeds)],
     }
 
@@ -154,15 +168,16 @@ def _blank_words(blank: dict[str, list[tuple[int, int]]], seeds: tuple[int, ...]
     ]
 
 
-def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> SeenEpisode:
-    """The episode ``seed`` with all cameras, whose decisions are uniform in the share ``random``.
-    A policy with a guard acts without it."""
+def play_intact(policy: Policy, env: Environment, seed: int, disturbed: bool) -> SeenEpisode:
+    """The episode ``seed`` with all cameras; ``disturbed``: with random decisions (``RANDOM``) and
+    none (``STANDS``) among the policy's. A policy with a guard acts without it."""
     policy = policy.inner if isinstance(policy, GuardedPolicy) else policy
     streams = policy.spec.streams
     stack = stack_of(policy.spec, env.spec)
     rng = np.random.default_rng(seed)
     pictures: list[dict[str, Array]] = []
     states: list[Array] = []
+    last = 0.0
     now = env.reset(seed)
     with closing(player_of(policy, seed)) as player:
         while not now.last:
@@ -171,8 +186,12 @@ def play_intact(policy: Policy, env: Environment, seed: int, random: float) -> S
             pictures.append(stack.newest)
             states.append(now.state)
             action = player.act(policy.encode(stack.views, now.state), np.ones(len(streams), bool))
-            if rng.random() < random:
+            if disturbed and STANDS.start <= len(states) / env.spec.horizon < STANDS.stop:
+                action = np.zeros_like(action)
+                action[-1] = last if seed % 4 == 3 else 0
+            elif disturbed and rng.random() < RANDOM:
                 action = rng.uniform(-1, 1, action.shape).astype(action.dtype)
+            last = action[-1]
             now = env.step(action)
     return seen_episode(pictures, np.array(states))
 
@@ -185,9 +204,12 @@ def guard_words(fitted: FittedFile) -> str:
         if without
         else "Late pictures can be told in every stream."
     )
+    blind = ", ".join(fitted["blind"])
     return (
         f"{fitted['file']}: {fitted['bytes']} bytes, fitted on {len(fitted['seeds'])} intact "
         f"training episodes, {_stretches(fitted['seeds'])}. {late}"
+        + (f"\nHalf of the pictures or more are even or dark in {blind}: " if blind else "")
+        + ("a camera that sends black is not noticed there." if blind else "")
         + "".join(f"\nLeft out: {line}" for line in fitted["left_out"])
     )
 

@@ -59,9 +59,10 @@ class Change:
         before and after it."""
         (condition_before, action_before, q_before), (condition, action, q) = readings
         apart = float(np.linalg.norm(action - action_before))
-        conditions = (condition_before, condition)
+        before, after = states
         acts = bool(np.isfinite(action).all())
-        return cls(camera, *states, *conditions, apart, q_before, q, moved, acts)
+        pair = (condition_before, condition)
+        return cls(camera, before, after, *pair, apart, q_before, q, moved, acts)
 
 
 class Deed(NamedTuple):

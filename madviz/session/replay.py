@@ -15,16 +15,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Literal, TypedDict
 
 from madviz.envs.registry import make_env, sees
 from madviz.errors import UserError
+from madviz.guard.policy import SUFFIX
 from madviz.measure.episodes import one_thread
 from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event, in_order, schedule_words
 from madviz.policies import checkpoint
-from madviz.policies.guarded import reference_to
+from madviz.policies.guarded import reference_to, unguarded, with_guard
 from madviz.policies.sb3 import trust
 from madviz.session.commands import SetCamera
 from madviz.session.session_file import (
@@ -112,11 +114,16 @@ def run_replay(config: ReplayConfig) -> ReplayResult:
 
 def finder(references: tuple[str, ...] = ()) -> Finder:
     """Loads policies by the plain names that files have, each once. ``references`` are looked
-    at first; only they, which the user typed, may be paths or modules."""
-    given = [checkpoint.load_policy(reference) for reference in references]
+    at first; only they, which the user typed, may be paths or modules. Each has a guard where the
+    policy that is wanted had one."""
+    load = cache(checkpoint.load_policy)
+    for reference in references:
+        load(unguarded(reference))  # A mistake in it is said before anything is played.
     loaded: dict[SavedPolicy, Policy] = {}
 
     def find(wanted: SavedPolicy) -> Policy:
+        guarded = wanted.name.endswith(SUFFIX)
+        given = [load(with_guard(unguarded(reference), guarded)) for reference in references]
         fitting = [policy for policy in given if SavedPolicy.of(policy.spec) == wanted]
         fitting += [policy for policy in given if SavedPolicy.of(policy.spec).name == wanted.name]
         if fitting:

@@ -80,12 +80,14 @@ class ManiSkill(PlacedCameras):
     @staticmethod
     def describe(task: str, render_profile: str, cameras: tuple[CameraSpec, ...]) -> EnvSpec:
         """The facts of ``task``, without a simulator."""
+        pose = 18 + (task in STATE_DIM)  # After joints, their speeds, and whether it grasps.
         return EnvSpec(
             f"maniskill/{task}",
             drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
             action_dim=4,
             state_angles=(*range(7), *range(9, 16)),  # Joints, and their speeds; no fingers.
+            robot_place=(*range(9), *range(pose, pose + 7)),
             gripper="closes at -1",
             horizon=HORIZON,
             render_profile=render_profile,

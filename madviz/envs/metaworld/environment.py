@@ -100,6 +100,7 @@ class MetaWorld(MuJoCoWorld):
             drawn_cameras(CAMERAS, cameras),
             state_dim=24,
             paper_state=(16, 17, 18, 19),
+            robot_place=(16, 17, 18, 19),
             state_changes=((16, 8), (17, 9), (18, 10), (19, 11)),
             action_dim=4,
             gripper="closes at 1",

@@ -59,6 +59,7 @@ class LeRobotMetaWorld(MetaWorld):
             task=f"lerobot/{task}",
             state_dim=4,
             paper_state=(),
+            robot_place=(),
             state_changes=(),
             horizon=HORIZON,
             action_repeat=1,

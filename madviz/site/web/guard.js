@@ -14,7 +14,7 @@ import {CELLS, sumsOf} from './guard_pictures.js';
  * @typedef {{kind: Kind, since: number | null, why: string}} Verdict */
 /**
  * How the pictures of one stream usually are, as in guard.json.
- * @typedef {{spread: number, dark: number, rough: number, edges: number, reach: number,
+ * @typedef {{spread: number, dark: number, rough: number, edges: number, reach: number[],
  *   numbers: number[], scales: number[], weights: string}} StreamValues
  */
 /**
@@ -96,7 +96,7 @@ class Stream {
   /** @param {StreamValues} values */
   constructor(values) {
     this.values = values;
-    this.reach = Math.max(2 * values.reach, SMALLEST);
+    this.reach = values.reach.map(size => Math.max(2 * size, SMALLEST));
     this.lag = new LagTest(values);
     this.verdict = INTACT;
     /** @type {Kind} */
@@ -105,10 +105,11 @@ class Stream {
     this.memory = nothing();
   }
 
-  /** Forgets the pictures: the next one is not compared with any. */
+  /** Forgets the pictures: the next one is not compared with any. One that was lost does not show
+   * that a late camera is on time. */
   forget() {
     this.lag.restart();
-    this.memory = nothing();
+    this.memory = {...nothing(), behind: this.memory.behind};
   }
 
   /** @returns {Stream} */
@@ -154,7 +155,7 @@ class Stream {
     }
     if (dark >= usual.dark + 20) return ['covered', `${dark} of ${CELLS * CELLS} cells are black`];
     if (rough > 1.5 * usual.rough) {
-      return ['noise', `${(rough / usual.rough).toFixed(1)} times as rough as the roughest usual`];
+      return ['noise', `roughness ${rough}; ${usual.rough} or less is usual`];
     }
     if (edges < 0.4 * usual.edges) return ['blurred', `${edges} edges; ${usual.edges} or more are usual`];
     return FINE;
@@ -212,7 +213,7 @@ class Stream {
   repeated(states, now) {
     const {memory} = this;
     memory.repeats += 1;
-    if (apart(states[0], memory.anchor) <= this.reach) {
+    if (!this.moved(states[0], memory.anchor)) {
       return memory.behind ? ['late', 'it was late, and the robot stands'] : FINE;
     }
     if (!memory.stopped) memory.stops = [...memory.stops, now].slice(-2);
@@ -227,12 +228,13 @@ class Stream {
   replayed(sums, states) {
     const same = this.memory.past.findIndex(({spread, cells}) =>
       spread === sums.spread && cells.every((cell, i) => cell === sums.cells[i]));
-    const moved = same > 0 && apart(states[0], states[same + 1]) > this.reach;
+    const moved = same > 0 && this.moved(states[0], states[same + 1]);
     return moved ? same + 1 : 0;
   }
-}
 
-/** The largest difference of a number. @param {number[]} one @param {number[]} other */
-function apart(one, other) {
-  return Math.max(...one.map((value, i) => Math.abs(value - other[i])));
+  /** Whether a working camera would show that the robot is elsewhere.
+   * @param {number[]} here @param {number[]} there */
+  moved(here, there) {
+    return this.reach.some((most, i) => Math.abs(here[i] - there[i]) > most);
+  }
 }
