@@ -24,6 +24,7 @@ MODULES = (
     "link",
     "player",
     "saved",
+    "simulation",
     "stage",
     "statistics",
     "words",

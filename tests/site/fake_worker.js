@@ -35,7 +35,7 @@ async function obey(command) {
     SetSpeed: () => { speed = command.rate; }, SetAutoNext: () => { autoNext = command.on; },
     SetSeed: () => begin(command.seed),
     Reset: () => begin(command.next_seed ? seed + 1 : seed),
-    SetGuard: () => { guarded = command.on; },
+    SetGuard: () => guard(command.on),
     SetSchedule: () => { schedule = command.events; apply(); },
     SetCamera: () => set(command.side, command.camera, command.state),
     MoveCamera: () => move(command.side, command.camera, command.move),
@@ -53,7 +53,7 @@ async function obey(command) {
   tell();
 }
 
-async function open({base, policy, second, seed: wanted, events, guard}) {
+async function open({base, policy, second, seed: wanted, events}) {
   manifest ??= await (await fetch(new URL('manifest.json', base))).json();
   if (manifest.broken) {
     return say({kind: 'Problem', fatal: true, message: 'policy.onnx.gz is cut off.'});
@@ -64,7 +64,7 @@ async function open({base, policy, second, seed: wanted, events, guard}) {
   if (opened) await new Promise(resolve => setTimeout(resolve, 300)); // A file comes slowly.
   sides = [side(policy), ...(second ? [side(second)] : [])];
   schedule = events ?? [];
-  guarded = guard ?? false;
+  guarded = false;
   begin(wanted);
   opened = true;
   say({kind: 'Ready', seconds: 0.1, backend: 'fake', events: schedule});
@@ -80,9 +80,11 @@ function side(name) {
 function begin(next) {
   [seed, step, episode] = [next, 0, episode + 1];
   if (phase === 'ended') phase = 'playing';
-  const named = schedule.map(event => event.camera);
+  const named = schedule.map(event => event.camera).filter(Boolean);
+  if (named.length < schedule.length) guarded = false;
   for (const one of sides) {
     one.events = Object.entries(one.cameras).map(([camera, state]) => ({step: 0, camera, state}));
+    if (guarded) one.events.push({step: 0, camera: '', guard: true});
     Object.assign(one, {change: null, whole: true});
     for (const camera of named) one.cameras[camera] = intact();
   }
@@ -105,6 +107,11 @@ function set(name, camera, state) {
   }
 }
 
+function guard(on) {
+  if (on !== guarded) for (const one of sides) one.events.push({step, camera: '', guard: on});
+  guarded = on;
+}
+
 function move(name, camera, to) {
   for (const one of meant(name)) {
     if (to) one.moves[camera] = to; else delete one.moves[camera];
@@ -115,7 +122,8 @@ function move(name, camera, to) {
 
 function apply() {
   for (const event of schedule.filter(one => one.step === step)) {
-    if (event.state) set(event.side, event.camera, event.state);
+    if (event.guard !== undefined) guard(event.guard);
+    else if (event.state) set(event.side, event.camera, event.state);
     else move(event.side, event.camera, event.move);
   }
 }

@@ -130,8 +130,14 @@ test('a camera that was off at the first step and works again is on in the link'
 });
 
 test('a guard travels in a link', () => {
-  const state = {policy: 'one', vs: null, seed: 5000, guard: true, events: []};
-  assert.equal(formatLink(state), '#policy=one&seed=5000&guard=on');
-  assert.equal(parseLink('#policy=one&guard=on').state.guard, true);
+  const on = {step: 0, camera: '', guard: true};
+  const later = [{...on, step: 30}, {...on, step: 40, guard: false}];
+  const linked = events => formatLink({policy: 'one', vs: null, seed: 5000, events});
+  assert.equal(linked(mergedEvents([on], null)), '#policy=one&seed=5000&guard=on');
+  const text = linked(mergedEvents([], later)); // Side A has none.
+  assert.equal(text, '#policy=one&seed=5000&guard=on@30&guard=off@40');
+  const both = later.map(event => ({...event, side: 'both'}));
+  assert.deepEqual(parseLink(text).state.events, both);
+  assert.deepEqual(parseLink('#guard=on@30-40').state.events, both);
   assert.equal(parseLink('#policy=one&guard=perhaps').problems.length, 1);
 });

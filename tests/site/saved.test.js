@@ -17,7 +17,7 @@ const EVENTS = [
 const PLAYED = {
   policy: {spec: POLICY}, task: {said: {name: 'metaworld/hammer'}}, events: EVENTS, started: 1,
   actions: [Float32Array.of(0, 1, 0, 1)], flags: [true], seed: 5000, ended: true,
-  physics: {success: true}, successAny: true, guardEvents: [], beganGuarded: false,
+  physics: {success: true}, successAny: true,
 };
 
 async function written() {
@@ -26,19 +26,23 @@ async function written() {
 
 test('what was saved is read again', async () => {
   const found = readEpisode(await written(), undefined, [POLICY]);
-  assert.deepEqual(found, {policy: 'one', guarded: false, seed: 5000, events: EVENTS});
+  assert.deepEqual(found, {policy: 'one', seed: 5000, events: EVENTS});
 });
 
 test('a guard is part of the policy in a file', async () => {
   const spec = {...POLICY, guard: {}, guarded_digest: 'g'};
-  const played = {...PLAYED, policy: {spec}, beganGuarded: true};
+  const on = {step: 0, camera: '', guard: true}, off = {step: 8, camera: '', guard: false};
+  const played = {...PLAYED, policy: {spec}, started: 2,
+    events: [EVENTS[0], on, EVENTS[1], off, ...EVENTS.slice(2)]};
   const episode = await savedEpisode(played);
   assert.deepEqual(episode.policy, {name: 'one (guarded)', digest: 'g'});
   const found = readEpisode(savedSession([episode], {}), undefined, [spec]);
-  assert.deepEqual([found.policy, found.guarded], ['one', true]);
+  assert.deepEqual(found.policy, 'one');
+  assert.deepEqual(found.events, [on, EVENTS[0], EVENTS[1], off, ...EVENTS.slice(2)]);
   assert.throws(() => readEpisode(savedSession([episode], {}), undefined, [POLICY]), /a policy of this/);
-  const later = await savedEpisode({...played, beganGuarded: false, guardEvents: [[8, true]]});
-  assert.deepEqual(later.commands[1], {step: 8, policy: 'one (guarded)', digest: 'g'});
+  assert.deepEqual(episode.commands[1], {step: 8, policy: 'one', digest: 'd'});
+  episode.commands[1].policy = 'two';
+  assert.throws(() => readEpisode(savedSession([episode], {}), undefined, [spec]), /one policy/);
 });
 
 test('a file says who made it, and the hashes of what was done', async () => {

@@ -66,7 +66,7 @@ test('a link is played as far as the site can, with a sentence for the rest', ()
   const catalogue = new Catalogue(manifest, true);
   const check = hash => catalogue.checked(parseLink(hash).state);
   assert.deepEqual(check('#policy=one&vs=two&seed=5001'),
-    {scene: {policy: 'one', vs: 'two', seed: 5001, guard: undefined, events: []},
+    {scene: {policy: 'one', vs: 'two', seed: 5001, events: []},
       problems: []});
   assert.match(check('#policy=gone').problems[0], /“gone” is not on this site/);
   assert.match(check('#policy=one&seed=9').problems[0], /Seed 9 has no start state/);

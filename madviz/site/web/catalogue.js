@@ -32,7 +32,7 @@ import {setMeanings} from './dom.js';
  */
 /** @typedef {ReturnType<Catalogue['opening']>} Opening */
 /** @typedef {{policy: string, vs: string | null, seed: number,
- *   guard?: boolean, events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
+ *   events: import('./link.js').LinkEvent[]}} Scene What is to be played. */
 
 const STEP = 15; // A camera goes off, where the manifest does not say when.
 
@@ -130,19 +130,20 @@ export class Catalogue {
       seed = entry.seeds[0];
     }
     const known = new Set(entry.cameras.map(camera => camera.name));
-    const strange = new Set(link.events.map(one => one.camera).filter(name => !known.has(name)));
+    const ours = link.events.filter(one => one.guard !== undefined || known.has(one.camera));
+    const strange = new Set(link.events.filter(one => !ours.includes(one)).map(one => one.camera));
     for (const name of strange) {
       problems.push(`${entry.task_label} has no camera “${name}”; it has ${[...known].join(', ')}.`);
     }
-    let events = link.events.filter(one => known.has(one.camera)), guard = link.guard;
+    let events = ours;
     if (entry.recorded) {
       const kept = events.filter(({state}) => state && state.occlusion.kind === 'none');
-      if (guard || kept.length < events.length) {
+      if (kept.length < events.length) {
         problems.push(`“${entry.name}” is recorded: its cameras can be off or on. Moved and broken `
           + 'cameras and the guard are left out.');
       }
-      [events, guard] = [kept, false];
+      events = kept;
     }
-    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, guard, events}, problems};
+    return {scene: {policy: entry.name, vs: vs?.name ?? null, seed, events}, problems};
   }
 }

@@ -64,8 +64,7 @@ export class Episodes {
     this.retraces = [];
     for (const [i, one] of this.sides.entries()) {
       const first = this.scheduled(i, 0);
-      const named = new Set(this.schedule.filter(event => covers(event, i)).map(e => e.camera));
-      one.restore([...named]);
+      one.restore(this.schedule.filter(event => covers(event, i)));
       one.episode = this.episode - 1;
       await one.begin(seed, first);
     }

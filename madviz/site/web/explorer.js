@@ -359,7 +359,6 @@ export class Explorer {
     if (!this.frame || this.mode === 'loading') return null;
     const {first, second} = this.frame;
     return {policy: first.policy, vs: second?.policy ?? null, seed: first.seed,
-      guard: first.guard !== null,
       events: [...mergedEvents(first.events, second?.events ?? null),
         ...this.planned.filter(event => event.step > first.step)]};
   }

@@ -56,7 +56,7 @@ export function linkLacks(text) {
   const {state, problems} = parseLink(hash);
   if (problems.length) return problems[0];
   if (state.policy !== MERGED_ONLY) return 'The policy of this link is not Merged Only.';
-  const [event, ...more] = state.events;
+  const [event, ...more] = state.events.filter(one => one.guard === undefined);
   if (!event || !event.state) return 'No camera is switched in this link.';
   if (more.length) return 'More than one thing happens in this link.';
   if (event.side === 'second') return 'This happens on side B, which is another policy.';

@@ -4,7 +4,7 @@
  *     #policy=metaworld-hammer-mad-light&vs=metaworld-hammer-merged-only-light&seed=5003
  *      &first=off@15&third_a=noise:0.5@10-18&b.third_b=patch:1:0.3:0.5:0.4:0.2@40
  *
- *     guard=on                  a camera that fails is left out
+ *     guard=on[@from[-to]]      a camera that fails is left out; guard=off[@from]: no more
  *     camera=what[@from[-to]]   as `madviz eval --occlude` and `madviz record --drop` have it
  *     a.camera=…, b.camera=…    one side of a comparison; without it, both
  *
@@ -25,16 +25,14 @@ import {intact} from './camera_state.js';
 /** @typedef {import('./messages.js').Displacement} Displacement */
 /** @typedef {import('./messages.js').Side} Side */
 /**
- * A camera is set, or it is moved; from `step` on.
- * @typedef {{step: number, side: Side, camera: string, state?: CameraState,
- *   move?: Displacement | null}} LinkEvent
+ * A camera is set, or it is moved, or a guard begins or ends to watch; from `step` on.
+ * @typedef {import('./messages.js').ScheduledEvent} LinkEvent
  */
 /**
  * @typedef {object} LinkState
  * @property {string | null} policy
  * @property {string | null} vs The policy of side B.
  * @property {number | null} seed
- * @property {boolean} [guard] Whether a guard watches.
  * @property {LinkEvent[]} events In the order of their steps.
  */
 
@@ -47,6 +45,7 @@ const AXES = [
   ['pan', -90, 90], ['tilt', -90, 90], ['zoom', 0.5, 2],
 ];
 const SIDES = /** @type {Record<string, Side>} */ ({a: 'first', b: 'second'});
+const GUARD = 'guard';
 const EXAMPLE = 'for example third_a=off@20';
 
 /**
@@ -96,10 +95,6 @@ function readPart(part, state) {
     state[key] = value;
     return '';
   }
-  if (key === 'guard' && value === 'on') {
-    state.guard = true;
-    return '';
-  }
   if (key === 'seed') {
     if (!/^\d{1,10}$/.test(value) || Number(value) > LAST_SEED) {
       return `The link's “${shown}” is no seed, so it was left out.`;
@@ -124,15 +119,22 @@ function readEvents(key, value) {
   if (!who || !how) return null;
   const side = who[1] ? SIDES[who[1]] : /** @type {Side} */ ('both'), camera = who[2];
   const step = Number(how[2] ?? 0), end = how[3] === undefined ? null : Number(how[3]);
-  const what = readWhat(how[1]);
+  const what = key === GUARD ? readGuard(how[1]) : readWhat(how[1]);
   if (!what || step > LAST_STEP || (end !== null && end <= step)) return null;
+  const named = key === GUARD ? '' : camera;
   /** @type {LinkEvent[]} */
-  const events = [{step, side, camera, ...what}];
+  const events = [{step, side, camera: named, ...what}];
   if (end !== null) {
-    const back = 'move' in what ? {move: null} : {state: intact()};
-    events.push({step: end, side, camera, ...back});
+    const back = 'guard' in what ? {guard: !what.guard}
+      : 'move' in what ? {move: null} : {state: intact()};
+    events.push({step: end, side, camera: named, ...back});
   }
   return events;
+}
+
+/** @param {string} text @returns {{guard: boolean} | null} */
+function readGuard(text) {
+  return ['on', 'off'].includes(text) ? {guard: text === 'on'} : null;
 }
 
 /**
@@ -198,13 +200,18 @@ export function formatLink(state) {
   if (state.policy) parts.push(`policy=${encodeURIComponent(state.policy)}`);
   if (state.vs) parts.push(`vs=${encodeURIComponent(state.vs)}`);
   if (state.seed !== null) parts.push(`seed=${state.seed}`);
-  if (state.guard) parts.push('guard=on');
   for (const event of state.events.slice(0, MOST_EVENTS)) {
     const prefix = {first: 'a.', second: 'b.', both: ''}[event.side];
-    const what = event.state ? stateText(event.state) : moveText(event.move ?? null);
-    parts.push(`${prefix}${event.camera}=${what}${event.step ? `@${event.step}` : ''}`);
+    const at = event.step ? `@${event.step}` : '';
+    parts.push(`${prefix}${event.camera || GUARD}=${whatText(event)}${at}`);
   }
   return `#${parts.join('&')}`;
+}
+
+/** @param {CameraEvent} event */
+function whatText({state, move, guard}) {
+  if (guard !== undefined) return guard ? 'on' : 'off';
+  return state ? stateText(state) : moveText(move ?? null);
 }
 
 /** @param {CameraState} state */
@@ -226,6 +233,11 @@ function moveText(move) {
   return move ? ['move', ...AXES.map(([name]) => brief(move[name]))].join(':') : 'home';
 }
 
+/** The guard is switched on both sides, also where one of them has none. @param {CameraEvent} event */
+function isGuard(event) {
+  return event.guard !== undefined;
+}
+
 /** Three digits after the point, and no -0. @param {number} value */
 function brief(value) {
   return String(Math.round(value * 1000) / 1000 || 0);
@@ -238,16 +250,18 @@ function brief(value) {
  * @returns {LinkEvent[]}
  */
 export function mergedEvents(first, second) {
-  const keyOf = (/** @type {CameraEvent} */ event) => JSON.stringify(
-    [event.step, event.camera, event.state ? stateText(event.state) : moveText(event.move ?? null)]);
+  const keyOf = (/** @type {CameraEvent} */ event) =>
+    JSON.stringify([event.step, event.camera, whatText(event)]);
   const others = new Map((second ?? []).map(event => [keyOf(event), event]));
   /** @type {LinkEvent[]} */
   const events = [];
   for (const event of first) {
-    const both = second === null || others.delete(keyOf(event));
-    events.push({...event, side: both ? 'both' : 'first'});
+    const same = others.delete(keyOf(event)) || second === null;
+    events.push({...event, side: same || isGuard(event) ? 'both' : 'first'});
   }
-  for (const event of others.values()) events.push({...event, side: 'second'});
+  for (const event of others.values()) {
+    events.push({...event, side: isGuard(event) ? 'both' : 'second'});
+  }
   events.sort((one, other) => one.step - other.step);
   // That a camera works at the first step is said only where it was off or broken there before.
   return events.filter(({step, camera, state}, i) => step > 0 || !state || stateText(state) !== 'on'

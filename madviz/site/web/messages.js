@@ -61,10 +61,10 @@
 
 /**
  * The first command: where the site's folder is, and what plays first. `base` is an absolute
- * address that ends with a slash; nothing outside it is ever fetched. `events` and `guard` are as in
- * SetSchedule and SetGuard, from the first step on. Where it fails, all stays as it is.
+ * address that ends with a slash; nothing outside it is ever fetched. `events` are as in SetSchedule,
+ * and no guard watches but from them. Where it fails, all stays as it is.
  * @typedef {{kind: 'Open', base: string, policy: string, seed: number, second?: string | null,
- *   events?: ScheduledEvent[], guard?: boolean}} Open
+ *   events?: ScheduledEvent[]}} Open
  */
 /** @typedef {{kind: 'SetCamera', side: Side, camera: string, state: CameraState}} SetCamera */
 /**
@@ -107,10 +107,10 @@
  */
 /**
  * Failures that come by themselves at a step, in this episode and all that follow; an empty list
- * ends them. They begin again with every episode, where all cameras that it names work at step 0.
+ * ends them. They begin again with every episode, where all cameras that it names work at step 0,
+ * and no guard watches if it names the guard.
  * @typedef {{kind: 'SetSchedule', events: ScheduledEvent[]}} SetSchedule
- * @typedef {{step: number, side: Side, camera: string, state?: CameraState,
- *   move?: Displacement | null}} ScheduledEvent Either a state or a move.
+ * @typedef {CameraEvent & {side: Side}} ScheduledEvent The guard's are of both sides.
  */
 /**
  * After how many decisions action and Q of all subsets are read once more; 0: never, 1: always.
@@ -262,8 +262,9 @@
  * @typedef {{camera: string, kind: import('./guard.js').Kind, since: number, why: string}} Noticed */
 
 /**
- * @typedef {{step: number, camera: string, state?: CameraState, move?: Displacement | null}}
- *   CameraEvent Either a state or a move.
+ * A state, a move, or that a guard watches from here on or no more; `camera` is '' then.
+ * @typedef {{step: number, camera: string, state?: CameraState, move?: Displacement | null,
+ *   guard?: boolean}} CameraEvent
  */
 
 /**

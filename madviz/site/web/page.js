@@ -76,7 +76,7 @@ class Page {
     this.mode = mode;
     if (this.ready) this.explorer.waitFor(`Loading ${this.catalogue.find(scene.policy)?.label} …`);
     this.engine.post({kind: 'Open', base: BASE, policy: scene.policy, seed: scene.seed,
-      second: scene.vs, events: scene.events, guard: scene.guard ?? false});
+      second: scene.vs, events: scene.events});
     this.engine.post({kind: 'SetSpeed', rate: SPEED});
     const asks = mode === 'opening' && acts(this.catalogue.opening())[0].asks;
     this.explorer.act = 0;

@@ -18,7 +18,8 @@ export class Retrace {
     this.live = live;
     /** @type {Simulation | null} */
     this.twin = null;
-    this.done = live.changedAt === null || live.guardEvents.length > 0;
+    const switched = live.events.slice(live.started).some(event => event.guard !== undefined);
+    this.done = live.changedAt === null || switched;
   }
 
   /** One decision; after the last one, the paths are known if the replay is exact. */

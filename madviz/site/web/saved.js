@@ -12,7 +12,7 @@ import {noOcclusion} from './camera_state.js';
 /** @typedef {import('./simulation.js').Simulation} Simulation */
 /**
  * What it takes to play an episode again.
- * @typedef {{policy: string, guarded: boolean, seed: number, events: CameraEvent[]}} Recipe
+ * @typedef {{policy: string, seed: number, events: CameraEvent[]}} Recipe
  */
 
 const SCHEMA = 1;
@@ -33,19 +33,15 @@ const INPUTS = ['rgb', 'depth', 'both', 'off'];
 export async function savedEpisode(simulation) {
   const {policy, task, events, started, actions, flags, seed} = simulation;
   const {cameras} = policy.spec;
-  const switched = simulation.guardEvents.map(([step, on]) => {
-    const {name, digest} = savedPolicy(policy.spec, on);
-    return {step, policy: name, digest};
-  });
+  const first = events.slice(0, started);
   return {
-    policy: savedPolicy(policy.spec, simulation.beganGuarded),
+    policy: savedPolicy(policy.spec, first.some(event => event.guard)),
     task: task.said.name,
     render_profile: 'fast',
     seed,
     cameras,
-    start: events.slice(0, started).map(event => command(event, false)),
-    commands: [...switched, ...events.slice(started).map(event => command(event, true))]
-      .sort((one, other) => (one.step ?? 0) - (other.step ?? 0)),
+    start: first.filter(event => event.guard === undefined).map(event => command(event)),
+    commands: events.slice(started).map(event => ({step: event.step, ...command(event, policy.spec)})),
     steps: actions.length,
     ended: simulation.ended,
     success: simulation.physics.success,
@@ -97,28 +93,34 @@ export function readEpisode(text, number, policies) {
   const policy = policies.find(one => guarded && one.guard ? one.name + GUARDED === asked
     : one.name === asked);
   check(policy !== undefined, `a policy of this site, found ${asked.slice(0, 60)}`);
-  const names = /** @type {SitePolicy} */ (policy).cameras.map(camera => camera.name);
   const {start, commands, seed} = episode;
   check(Number.isSafeInteger(seed) && seed >= 0, 'a seed');
   check(Array.isArray(start) && Array.isArray(commands), 'a list of commands');
   check(start.length + commands.length <= MOST_EVENTS, 'at most 10,000 commands');
+  const spec = /** @type {SitePolicy} */ (policy);
   const events = [
-    ...start.map((/** @type {any} */ one) => readCommand({...one, step: 0}, names)),
-    ...commands.map((/** @type {any} */ one) => readCommand(one, names)),
+    ...guarded ? [{step: 0, camera: '', guard: true}] : [],
+    ...start.map((/** @type {any} */ one) => readCommand({...one, step: 0}, spec)),
+    ...commands.map((/** @type {any} */ one) => readCommand(one, spec)),
   ];
-  return {policy: /** @type {SitePolicy} */ (policy).name, guarded, seed, events};
+  return {policy: spec.name, seed, events};
 }
 
 /**
  * @param {any} found
- * @param {string[]} cameras
+ * @param {SitePolicy} spec
  * @returns {CameraEvent}
  */
-function readCommand(found, cameras) {
+function readCommand(found, spec) {
   check(isObject(found), 'a command');
   const {step, camera, input, occlusion, move, policy} = found;
-  check(policy === undefined, 'one policy from start to end');
+  const cameras = spec.cameras.map(one => one.name), both = [spec.name, spec.name + GUARDED];
   check(Number.isSafeInteger(step) && step >= 0 && step <= MOST_EVENTS, 'a step of each command');
+  if (policy !== undefined) { // The same one, with a guard or without.
+    check(both.includes(policy), 'one policy from start to end');
+    check(policy === spec.name || spec.guard !== undefined, 'a guard that this site has');
+    return {step, camera: '', guard: policy !== spec.name};
+  }
   check(cameras.includes(camera), `a camera of ${cameras.join(', ')}`);
   if (move !== undefined) return {step, camera, move: move === null ? null : readMove(move)};
   check(INPUTS.includes(input), `an input of ${INPUTS.join(', ')}`);
@@ -167,14 +169,17 @@ function check(holds, expected) {
 
 /**
  * @param {CameraEvent} event
- * @param {boolean} withStep
+ * @param {SitePolicy} [spec] The policy that acts; it changes with a guard.
  */
-function command({step, camera, state, move}, withStep) {
-  const at = withStep ? {step} : {};
-  if (state === undefined) return {...at, camera, move: move ?? null};
+function command({camera, state, move, guard}, spec) {
+  if (guard !== undefined && spec) {
+    const {name, digest} = savedPolicy(spec, guard);
+    return {policy: name, digest};
+  }
+  if (state === undefined) return {camera, move: move ?? null};
   const {input, occlusion} = state;
   const same = JSON.stringify(occlusion) === JSON.stringify(noOcclusion());
-  return {...at, camera, input, ...same ? {} : {occlusion}};
+  return {camera, input, ...same ? {} : {occlusion}};
 }
 
 /**

@@ -78,10 +78,7 @@ export class Simulation {
     this.guardBefore = null;
     /** @type {Guard | null} */
     this.guard = null;
-    /** When it was switched, and to what, after the first step. @type {[number, boolean][]} */
-    this.guardEvents = [];
     this.guardBegan = this.episode = this.seed = 0;
-    this.beganGuarded = false;
     this.successAny = false;
     this.timings = {physics: 0, pictures: 0, policy: 0, readout: 0};
   }
@@ -122,9 +119,6 @@ export class Simulation {
     this.conditions.clear();
     this.decided = undefined;
     this.watch(this.guard !== null);
-    this.guardEvents = [];
-    this.beganGuarded = this.guard !== null;
-    this.guardBegan = 0;
     for (const event of first) this.apply(event);
     this.events = Object.entries(this.cameras)
       .filter(([, state]) => JSON.stringify(state) !== JSON.stringify(intact()))
@@ -132,6 +126,7 @@ export class Simulation {
     for (const [camera, move] of Object.entries(this.moves)) {
       this.events.push({step: 0, camera, move});
     }
+    if (this.guard) this.events.push({step: 0, camera: '', guard: true});
     this.started = this.events.length;
     await this.arrive();
   }
@@ -141,7 +136,6 @@ export class Simulation {
     const {guard} = this.policy;
     this.guardBefore = this.guard = on && guard ? new Guard(guard) : null;
     this.guardBegan = this.step;
-    this.guardEvents.push([this.step, this.guard !== null]);
   }
 
   /**
@@ -157,11 +151,13 @@ export class Simulation {
   }
 
   /**
-   * Cameras that a schedule names are whole when an episode begins.
-   * @param {string[]} names
+   * What a schedule names is as it was before, when an episode begins: cameras are whole, and no
+   * guard watches.
+   * @param {import('./messages.js').ScheduledEvent[]} schedule
    */
-  restore(names) {
-    for (const name of names) {
+  restore(schedule) {
+    if (schedule.some(one => one.guard !== undefined)) this.watch(false);
+    for (const {camera: name} of schedule.filter(one => one.camera)) {
       this.cameras[name] = intact();
       delete this.moves[name];
     }
@@ -241,10 +237,25 @@ export class Simulation {
   }
 
   /**
+   * A guard begins to watch or ends, where it did not already.
+   * @param {boolean} on
+   */
+  async setGuard(on) {
+    if ((this.guard !== null) === (on && this.policy.guard !== null)) return;
+    this.watch(on);
+    await this.read();
+    const before = this.events.filter((one, i) =>
+      i < this.started || one.step !== this.step || one.guard === undefined);
+    this.events = [...before, {step: this.step, camera: '', guard: on}];
+    this.readout = null;
+  }
+
+  /**
    * Something happens to a camera, and is seen at once.
-   * @param {{camera: string, state?: CameraState, move?: Displacement | null}} event
+   * @param {{camera: string, state?: CameraState, move?: Displacement | null, guard?: boolean}} event
    */
   async set(event) {
+    if (event.guard !== undefined) return this.setGuard(event.guard);
     const {camera} = event;
     const before = this.cameras[camera];
     const old = this.reading;
@@ -270,10 +281,14 @@ export class Simulation {
   }
 
   /**
-   * @param {{camera: string, state?: CameraState, move?: Displacement | null}} event
-   * @returns {{camera: string, state?: CameraState, move?: Displacement | null}}
+   * @param {{camera: string, state?: CameraState, move?: Displacement | null, guard?: boolean}} event
+   * @returns {{camera: string, state?: CameraState, move?: Displacement | null, guard?: boolean}}
    */
-  apply({camera, state, move}) {
+  apply({camera, state, move, guard}) {
+    if (guard !== undefined) {
+      this.watch(guard);
+      return {camera, guard};
+    }
     if (!(camera in this.cameras)) {
       const known = Object.keys(this.cameras).join(', ');
       throw new Error(`expected a camera of ${known}, found ${camera.slice(0, 40)}`);

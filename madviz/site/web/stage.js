@@ -94,7 +94,7 @@ export class Stage extends Episodes {
   // --- Commands -----------------------------------------------------------------------------------
 
   /** @param {import('./messages.js').Open} command */
-  async open({base, policy, second, seed, events, guard}) {
+  async open({base, policy, second, seed, events}) {
     const start = performance.now();
     const first = this.sides.length === 0;
     try {
@@ -103,7 +103,7 @@ export class Stage extends Episodes {
       const sides = await this.made(names);
       sides.forEach(side => side.physics.check(seed));
       this.stopMany();
-      this.guarded = guard ?? false;
+      this.guarded = false;
       this.replace(sides);
       this.schedule = events ?? [];
       this.phase = 'playing';
@@ -195,10 +195,7 @@ export class Stage extends Episodes {
   /** @param {{on: boolean}} command */
   async onSetGuard({on}) {
     this.guarded = on;
-    for (const one of this.sides) {
-      one.watch(on);
-      await one.read();
-    }
+    for (const one of this.sides) await one.setGuard(on);
     await this.readAll();
   }
 
@@ -240,7 +237,7 @@ export class Stage extends Episodes {
     const sides = await this.made([recipe.policy]);
     sides[0].physics.check(recipe.seed);
     this.stopMany();
-    this.guarded = recipe.guarded;
+    this.guarded = false;
     this.replace(sides);
     this.schedule = recipe.events.map(event => ({...event, side: /** @type {Side} */ ('both')}));
     this.phase = 'playing';

@@ -79,10 +79,11 @@ export class Timeline {
     for (const [number, event] of events.entries()) {
       const index = entry.cameras.findIndex(camera => camera.name === event.camera);
       const x = event.step / entry.horizon * wide;
-      context.fillStyle = cameraColourNow(Math.max(index, 0));
+      context.fillStyle = index < 0 ? colourNow('--ink') : cameraColourNow(index);
       context.fillRect(x - 1.5, 0, 3, 64);
       const deed = event.state ? stateWords(event.state) : 'moved';
-      const words = `${labelOf(event.camera, entry.cameras)} ${deed}`;
+      const words = event.guard === undefined ? `${labelOf(event.camera, entry.cameras)} ${deed}`
+        : `guard ${event.guard ? 'on' : 'off'}`;
       const room = context.measureText(words).width;
       context.fillStyle = colourNow('--ink');
       // Words of neighbours stand below each other.
