@@ -63,7 +63,7 @@ def weak() -> str:
             label += LACKING.get((task, camera), "")
             named.setdefault(count(verdict.row), []).append(label)
     return ". ".join(
-        f"Rates below {WEAK:.2f} of MAD with one camera ({measured}): {'; '.join(labels)}"
+        f"Rates below {WEAK:.2f} of MAD with one camera ({measured}): {'. And '.join(labels)}"
         for measured, labels in named.items()
     )
 

@@ -13,6 +13,7 @@ from policy_files import LABELS
 
 from madviz.measure.statistics import SuccessRate, interval_over_trainings
 from madviz.policies import checkpoint
+from madviz.policies.seeds import use_of
 
 SIDES = ("broken", "guarded", "dropped")
 NAMES = {"black": "black", "freeze": "frozen"}
@@ -81,11 +82,12 @@ def headline() -> str:
     rows = [row for row in read(BROKEN)["rows"] if row["camera"] == FIRST]
     broken, guarded = (_over_tasks(rows, "freeze", side) for side in ("broken", "guarded"))
     ours = [row for row in rows if row["way"] == "freeze"]
+    use = use_of(read(BROKEN)["seeds"])
     return (
         "Not of the paper: a broken camera is not an absent one. With First person frozen, MAD's "
         f"success is {broken}. With the [guard](docs/guard.md), which leaves such a camera out, it "
         f"is {guarded} (interval over {len(ours)} tasks, {ours[0]['n']} episodes of each, "
-        "development seeds)."
+        f"{use} seeds)."
     )
 
 
@@ -105,7 +107,13 @@ def _sentences(rows: list[dict[str, Any]], ways: list[str], found: int, n: int) 
             f"the camera dropped; noticed in {seen} of {every} episodes, at step "
             f"{np.median(steps) + 1:g} (median), at the latest at step {max(steps) + 1}."
         )
+    said += [_seeds_words(INTACT, "intact episodes"), _seeds_words(BROKEN, "with each failure")]
     return "\n".join(f"- {sentence}" for sentence in said)
+
+
+def _seeds_words(file: str, what: str) -> str:
+    seeds = read(file)["seeds"]
+    return f"{len(seeds)} {what} of each task, {use_of(seeds)} seeds {seeds[0]} to {seeds[-1]}."
 
 
 def _over_tasks(rows: Iterable[dict[str, Any]], way: str, side: str) -> str:
