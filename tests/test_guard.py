@@ -132,6 +132,18 @@ def test_lateness_is_read_from_movements_where_no_picture_repeats() -> None:
     assert found >= 8
 
 
+def test_a_late_camera_whose_lateness_cannot_be_read_is_used_after_it_was_gone() -> None:
+    mute = msgspec.structs.replace(VALUES.streams["camera"], numbers=(), scales=(), weights="")
+    values = msgspec.structs.replace(VALUES, streams={"camera": mute})
+    shows = scene.late(5, 20)
+    shows = [*shows[:30], "gone", *range(31, scene.STEPS)]
+    kinds = scene.verdicts(values, 100, shows)
+    assert kinds[29:31] == ["late", "gone"] and set(kinds[33:]) == {"fine"}
+    assert "fine" not in scene.verdicts(VALUES, 100, shows)[30:40], (
+        "where it can be read, it has to"
+    )
+
+
 def test_a_stream_that_was_not_watched_begins_anew() -> None:
     guard = Guard(VALUES)
     places = scene.walk(5)

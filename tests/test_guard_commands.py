@@ -141,7 +141,7 @@ def test_alarms_of_a_policy_are_counted_and_kept(guarded, tmp_path) -> None:
 
 
 def test_a_saved_episode_finds_its_guard_behind_the_policy_that_was_typed(guarded) -> None:
-    find = finder((str(guarded),))
+    find = finder(("madviz.examples.own_policy:make", str(guarded)))  # The first has no guard.
     spec = load_policy(f"guard:{guarded}").spec
     assert find(SavedPolicy.of(spec)).spec == spec
     bare = load_policy(str(guarded)).spec

@@ -149,7 +149,9 @@ class _Stream:
 
     def _forget(self) -> None:
         """Forgets the pictures: the next one is not compared with any. One that was lost does not
-        show that a late camera is on time."""
+        show that a late camera is on time, unless nothing ever could."""
+        if not self._lag.possible:
+            self._behind = 0
         self._lag.restart()
         self._past: deque[PictureSums] = deque(maxlen=LAGS)
         """The pictures that came, the newest first."""

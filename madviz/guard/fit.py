@@ -162,7 +162,7 @@ def _stream(sums: list[tuple[PictureSums, ...]], positions: list[Array]) -> Stre
         dark=max(picture.dark for picture in every),
         rough=max(picture.rough for picture in every),
         edges=min(picture.edges for picture in every),
-        reach=tuple(np.max([*map(_reach, cells, positions)], 0).round(6).tolist()),
+        reach=tuple(np.max([*map(_reach, cells, positions)], 0).round(4).tolist()),
         numbers=numbers,
         scales=scales,
         weights=weights,

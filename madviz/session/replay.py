@@ -13,7 +13,7 @@ bit, so there the switches are replayed, and how the episode ended is compared.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -114,16 +114,17 @@ def run_replay(config: ReplayConfig) -> ReplayResult:
 
 def finder(references: tuple[str, ...] = ()) -> Finder:
     """Loads policies by the plain names that files have, each once. ``references`` are looked
-    at first; only they, which the user typed, may be paths or modules. Each has a guard where the
-    policy that is wanted had one."""
+    at first, as they are and with or without a guard, as the wanted policy; only they, which the
+    user typed, may be paths or modules."""
     load = cache(checkpoint.load_policy)
-    for reference in references:
-        load(unguarded(reference))  # A mistake in it is said before anything is played.
+    typed = [load(reference) for reference in references]
     loaded: dict[SavedPolicy, Policy] = {}
 
     def find(wanted: SavedPolicy) -> Policy:
-        guarded = wanted.name.endswith(SUFFIX)
-        given = [load(with_guard(unguarded(reference), guarded)) for reference in references]
+        given = list(typed)
+        for reference in references:
+            with suppress(UserError):  # It has no guard, and need not be the one that is wanted.
+                given += [load(with_guard(unguarded(reference), wanted.name.endswith(SUFFIX)))]
         fitting = [policy for policy in given if SavedPolicy.of(policy.spec) == wanted]
         fitting += [policy for policy in given if SavedPolicy.of(policy.spec).name == wanted.name]
         if fitting:

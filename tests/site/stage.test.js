@@ -35,6 +35,15 @@ test('nothing overtakes another command, side or kind', () => {
   assert.deepEqual(obeyed([step, step]), [step, step]);
 });
 
+test('a visitor who switches the guard has the last word', async () => {
+  const off = {step: 4, side: 'both', camera: 'first'};
+  const asked = [];
+  const stage = {schedule: [{step: 0, side: 'both', camera: '', guard: true}, off], guarded: false,
+    sides: [{setGuard: async on => asked.push(on)}], readAll: async () => {}};
+  await Stage.prototype.onSetGuard.call(stage, {on: false});
+  assert.deepEqual([stage.schedule, stage.guarded, asked], [[off], false, [false]]);
+});
+
 test('a run that is left says that it is over, once', () => {
   const said = [];
   const stage = {say: one => said.push(one), tellMany: Episodes.prototype.tellMany,

@@ -67,8 +67,10 @@ export class Explorer {
       onclick: () => this.choose(linked)}, linked ? 'A and B' : 'one side'));
     this.link = make('div', {class: 'field', role: 'group', 'aria-label': 'Switches act on'},
       make('span', {}, 'Switches act on'), ...this.linkButtons);
-    this.guard = make('input', {type: 'checkbox', onchange: () =>
-      this.send({kind: 'SetGuard', on: this.guard.checked})});
+    this.guard = make('input', {type: 'checkbox', onchange: () => {
+      this.planned = this.planned.filter(one => one.guard === undefined);
+      this.send({kind: 'SetGuard', on: this.guard.checked});
+    }});
     this.drawn = 0;
     /** Of the opening. */
     this.act = 0;

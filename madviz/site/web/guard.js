@@ -106,10 +106,10 @@ class Stream {
   }
 
   /** Forgets the pictures: the next one is not compared with any. One that was lost does not show
-   * that a late camera is on time. */
+   * that a late camera is on time, unless nothing ever could. */
   forget() {
     this.lag.restart();
-    this.memory = {...nothing(), behind: this.memory.behind};
+    this.memory = {...nothing(), behind: this.values.numbers.length ? this.memory.behind : 0};
   }
 
   /** @returns {Stream} */

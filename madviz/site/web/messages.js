@@ -102,7 +102,7 @@
  */
 /**
  * Whether a camera that fails is noticed and left out, on all sides whose policy has a fitted guard;
- * from the next decision on.
+ * from the next decision on, whatever a schedule said.
  * @typedef {{kind: 'SetGuard', on: boolean}} SetGuard
  */
 /**

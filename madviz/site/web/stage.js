@@ -57,7 +57,8 @@ export class Stage extends Episodes {
     if (this.sides.length === 0 || !this.visible) return this.pace.sleep();
     if (this.many) return this.playMany();
     if (this.phase === 'ended') {
-      const toRead = this.sides.length > 1 || this.sides[0].events.length > 0;
+      const changed = this.sides[0].events.some(event => event.guard === undefined);
+      const toRead = this.sides.length > 1 || changed;
       const left = this.endedAt + (toRead ? HOLD_TO_READ : HOLD) - performance.now();
       if (left <= 0 && this.autoNext) {
         this.phase = 'playing';
@@ -195,6 +196,7 @@ export class Stage extends Episodes {
   /** @param {{on: boolean}} command */
   async onSetGuard({on}) {
     this.guarded = on;
+    this.schedule = this.schedule.filter(one => one.guard === undefined); // This is newer.
     for (const one of this.sides) await one.setGuard(on);
     await this.readAll();
   }
