@@ -111,13 +111,14 @@ def _of_policy(
     streams = policy.spec.streams
     cameras = cameras_of(streams)
 
-    def played(
-        table: Table, condition: Condition, which: Iterable[int]
-    ) -> dict[int, EpisodeResult]:
-        which = list(which)
-        table.play([(condition, seed) for seed in which], config.workers, progress=True)
+    def play(table: Table, conditions: Iterable[Condition], which: Iterable[int]) -> None:
+        """All at once: processes start and simulators are made once."""
+        jobs = [(condition, seed) for condition in dict.fromkeys(conditions) for seed in which]
+        table.play(jobs, config.workers, progress=True)
+
+    def played(table: Table, condition: Condition) -> dict[int, EpisodeResult]:
         results = table.results(condition)
-        return {seed: results[seed] for seed in which}
+        return {seed: results[seed] for seed in seeds if seed in results}
 
     def row(camera: str, way: str, *results: dict[int, EpisodeResult], begin: int = 0) -> TrialRow:
         broken, with_it, dropped = (
@@ -144,14 +145,20 @@ def _of_policy(
         for camera in config.cameras or cameras
         for way in config.ways
     }
+    without = {
+        (camera, fails.begin): Condition(
+            "+".join(one for one in cameras if one != camera) or "none", begin=fails.begin
+        ).noticed(streams)
+        for (camera, _), fails in failing.items()
+    }
     intact = Condition("all").noticed(streams)
-    watched = played(guarded, intact, seeds)
-    alarmed = [seed for seed, result in watched.items() if result.noticed is not None]
-    without = watched | played(bare, intact, alarmed)
-    yield row("", "", without, watched, without)
+    play(guarded, [intact, *failing.values()], seeds)
+    play(bare, [*failing.values(), *without.values()], seeds)
+    watched = played(guarded, intact)
+    play(bare, [intact], [seed for seed, one in watched.items() if one.noticed is not None])
+    unwatched = watched | played(bare, intact)
+    yield row("", "", unwatched, watched, unwatched)
     for (camera, way), fails in failing.items():
-        rest = "+".join(one for one in cameras if one != camera) or "none"
-        dropped = played(bare, Condition(rest, begin=fails.begin).noticed(streams), seeds)
-        broken = played(bare, fails, seeds)
-        with_it = played(guarded, fails, seeds)
-        yield row(camera, way, broken, with_it, dropped, begin=fails.begin)
+        dropped = played(bare, without[camera, fails.begin])
+        both = (played(bare, fails), played(guarded, fails))
+        yield row(camera, way, *both, dropped, begin=fails.begin)
