@@ -3,7 +3,8 @@
 A policy plays intact episodes with all cameras. Beside it, one guard watches the intact pictures,
 and for each camera and each failure of ``WAYS`` another one watches what that camera would send. So
 one episode answers for all failures. After these, as many episodes are played in which one camera
-is moved. The result of each policy is kept in --out, so that a run that was stopped goes on.
+is moved, and as many in which the robot stands for a while. The result of each policy is kept in
+--out, so that a run that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from madviz.system.files import read_json, write_json
 from madviz.system.numbers import Count, Seed
 from madviz.types import Array, Environment, View
 
+SCHEMA = 2
 WAYS = {
     "black": (Occlusion("black"), 0),
     "frozen": (Occlusion("freeze"), 0),
@@ -47,13 +49,16 @@ WAYS = {
     "patch": (Occlusion("patch"), 0),
 }
 """By name: how a camera fails, and from which step on."""
+STANDS = range(15, 30)
+"""The decisions at which the robot stands: its action is 0, but for the last number, a gripper's,
+which stays as it was."""
 MOVED = Displacement(forward=0.05, right=0.05, up=0.03, pan=4, tilt=3)
 
 
 @dataclass(frozen=True)
 class GuardAlarmsConfig:
-    """The policies, which have fitted guards, and the episodes: intact ones, and as many with a
-    moved camera."""
+    """The policies, which have fitted guards, and the episodes: intact ones, as many with a moved
+    camera, and as many in which the robot stands."""
 
     policies: tuple[checkpoint.PolicyName, ...]
     """Names of policies, or their folders."""
@@ -86,6 +91,8 @@ class AlarmsFile(TypedDict):
     """False alarms in intact episodes: seed, stream, kind and step."""
     moved: list[str]
     """False alarms in episodes with a moved camera."""
+    stood: list[str]
+    """False alarms in episodes in which the robot stands for a while."""
     noticed: list[NoticedRow]
 
 
@@ -97,10 +104,12 @@ def guard_alarms(config: GuardAlarmsConfig) -> list[AlarmsFile]:
     for name in config.policies:
         policy = checkpoint.load_policy(with_guard(name, True))
         file = config.out / f"{Path(name).name}-{policy.spec.digest[:8]}.json"
-        if not file.is_file() or read_json(file)["seeds"] != list(seeds):
+        known = read_json(file) if file.is_file() else {"schema": 0}
+        if known["schema"] != SCHEMA or known["seeds"] != list(seeds):
             assert isinstance(policy, GuardedPolicy)
             write_json(file, _alarms(policy, seeds))
-        results.append(read_json(file))
+            known = read_json(file)
+        results.append(known)
     return results
 
 
@@ -111,9 +120,11 @@ def alarms_words(results: list[AlarmsFile]) -> str:
         count = len(found["seeds"])
         lines.append(
             f"{found['policy']}: {len(found['intact'])} false alarms in {count} intact episodes, "
-            f"{len(found['moved'])} in {count} with a moved camera"
+            f"{len(found['moved'])} in {count} with a moved camera, {len(found['stood'])} in "
+            f"{count} in which the robot stands"
         )
-        lines += [f"  {alarm}" for alarm in found["intact"] + found["moved"]]
+        alarms = found["intact"] + found["moved"] + found["stood"]
+        lines += [f"  {alarm}" for alarm in alarms]
         for row in found["noticed"]:
             steps = [step for step in row["steps"] if step is not None]
             when = "never noticed"
@@ -129,9 +140,10 @@ def _alarms(policy: GuardedPolicy, seeds: range) -> AlarmsFile:
     steps: dict[tuple[str, str], list[int | None]] = {}
     intact: list[str] = []
     moved: list[str] = []
+    stood: list[str] = []
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
         for seed in seeds:
-            found = _watched(policy, env, seed, True)
+            found = _watched(policy, env, seed, failures=True)
             intact += [f"{seed} {alarm}" for alarm in found.pop(("", ""))]
             for what, alarms in found.items():
                 step = min((int(alarm.split("@")[1]) for alarm in alarms), default=None)
@@ -140,27 +152,36 @@ def _alarms(policy: GuardedPolicy, seeds: range) -> AlarmsFile:
         for seed in seeds:
             camera = cameras[seed % len(cameras)]
             env.move_camera(camera, MOVED.placed(env.spec.camera(camera)))
-            alarms = _watched(policy, env, seed, False)["", ""]
+            alarms = _watched(policy, env, seed)["", ""]
             moved += [f"{seed} {alarm}, {camera} is moved" for alarm in alarms]
             env.move_camera(camera, None)
+        for seed in seeds:
+            alarms = _watched(policy, env, seed, stands=STANDS)["", ""]
+            stood += [f"{seed} {alarm}, the robot stands" for alarm in alarms]
     rows: list[NoticedRow] = [
         {"camera": camera, "way": way, "steps": counts} for (camera, way), counts in steps.items()
     ]
     return {
-        "schema": 1,
+        "schema": SCHEMA,
         "policy": spec.name,
         "seeds": list(seeds),
         "intact": intact,
         "moved": moved,
+        "stood": stood,
         "noticed": rows,
     }
 
 
 def _watched(
-    policy: GuardedPolicy, env: Environment, seed: int, failures: bool
+    policy: GuardedPolicy,
+    env: Environment,
+    seed: int,
+    failures: bool = False,
+    stands: range = range(0),
 ) -> dict[tuple[str, str], list[str]]:
     """One episode: the alarms, ``stream kind@step``, by camera and way; '' and '' are the intact
-    pictures. Only the first alarm of a stream is listed."""
+    pictures. Only the first alarm of a stream is listed. ``stands``: decisions of a robot that does
+    not move."""
     inner = policy.inner
     streams = inner.spec.streams
     watchers = {("", ""): Watcher(policy, env)}
@@ -169,13 +190,19 @@ def _watched(
             watchers[camera, way] = Watcher(policy, env, camera, way)
     now = env.reset(seed)
     step = 0
+    last = 0.0
     with closing(player_of(inner, seed)) as player:
         while not now.last:
             views = {camera: env.view(camera) for camera in cameras_of(streams)}
             for watcher in watchers.values():
                 watcher.watch(views, now.state, seed, step)
             encoded = inner.encode(watchers["", ""].stack.views, now.state)
-            now = env.step(player.act(encoded, np.ones(len(streams), bool)))
+            action = player.act(encoded, np.ones(len(streams), bool))
+            if step in stands:
+                action = np.zeros_like(action)
+                action[-1] = last
+            last = action[-1]
+            now = env.step(action)
             step += 1
     return {what: list(watcher.alarms()) for what, watcher in watchers.items()}
 
