@@ -28,6 +28,7 @@ ALL_NAMES = {
 FIRST = "first"
 INTACT = "guard/intact"
 BROKEN = "guard/broken"
+DEVELOPMENT = "guard/development"
 
 
 def guard_trial() -> str:
@@ -50,9 +51,9 @@ def guard_trial() -> str:
 
 
 def guard_ways() -> str:
-    """A row for each camera and way that was played on every task: success over all of them, and
-    when it was noticed."""
-    rows = [row for row in read(BROKEN)["rows"] if row["camera"]]
+    """A row for each camera and way that was played on every task, on development seeds: success
+    over all of them, and when it was noticed."""
+    rows = [row for row in read(DEVELOPMENT)["rows"] if row["camera"]]
     policies = {row["policy"] for row in rows}
     lines = []
     apart = 0.0
