@@ -26,6 +26,7 @@ ALL_NAMES = {
     "delay:0.5": "late by 5",
 }
 FIRST = "first"
+CAMERAS = (FIRST, "third_a", "third_b")
 INTACT = "guard/intact"
 BROKEN = "guard/broken"
 DEVELOPMENT = "guard/development"
@@ -51,16 +52,14 @@ def guard_trial() -> str:
 
 
 def guard_ways() -> str:
-    """A row for each camera and way that was played on every task, on development seeds: success
-    over all of them, and when it was noticed."""
-    rows = [row for row in read(DEVELOPMENT)["rows"] if row["camera"]]
-    policies = {row["policy"] for row in rows}
+    """A row for each camera and way that was played on every task: success over all of them, and
+    when it was noticed; on reporting seeds where these were read, else on development seeds."""
     lines = []
     apart = 0.0
-    for camera in dict.fromkeys(row["camera"] for row in rows):
+    for camera in CAMERAS:
         for way, name in ALL_NAMES.items():
-            ours = [row for row in rows if (row["camera"], row["way"]) == (camera, way)]
-            if {row["policy"] for row in ours} != policies:
+            ours, seeds = _played(camera, way)
+            if not ours:
                 continue
             rates = [_over_tasks(ours, way, side) for side in SIDES]
             guarded, dropped = (_rate(ours, way, side).value for side in SIDES[1:])
@@ -68,14 +67,26 @@ def guard_ways() -> str:
             steps = [step + 1 for row in ours for step in row["noticed"] if step is not None]
             every = sum(len(row["noticed"]) for row in ours)
             when = f"{np.median(steps):g}; {np.percentile(steps, 95):g}" if steps else "–"
-            lines.append([LABELS[camera], name, *rates, f"{len(steps)} of {every}", when])
-    header = ["camera", "fails", *SIDES, "noticed in", "at step: median; 95 %"]
+            lines.append([LABELS[camera], name, *rates, f"{len(steps)} of {every}", when, seeds])
+    header = ["camera", "fails", *SIDES, "noticed in", "at step: median; 95 %", "seeds"]
     points = round(100 * apart)
     said = (
         f"In every row success with the guard is within {points} point{'s' * (points != 1)} of "
         "success with the camera dropped."
     )
     return f"{table(header, lines)}\n{said}\n"
+
+
+def _played(camera: str, way: str) -> tuple[list[dict[str, Any]], str]:
+    """The rows of one camera and way, a row for each task, and what their seeds are for; none where
+    a task lacks it."""
+    policies = {row["policy"] for row in read(INTACT)["rows"]}
+    for file in (BROKEN, DEVELOPMENT):
+        found = read(file)
+        ours = [row for row in found["rows"] if (row["camera"], row["way"]) == (camera, way)]
+        if {row["policy"] for row in ours} == policies:
+            return ours, use_of(found["seeds"])
+    return [], ""
 
 
 def headline() -> str:
