@@ -110,8 +110,8 @@ class Guard:
         return {name: self._watched[name].verdict for name in pictures}
 
     def good(self, name: str) -> bool:
-        """Whether the newest picture of a stream is one to keep: a verdict of *covered* or
-        *blurred* comes one picture late."""
+        """Returns True where the newest picture of a stream is one to keep: a verdict of *covered*
+        or *blurred* comes one picture late."""
         return self._watched[name].good
 
 
@@ -144,7 +144,7 @@ class _Stream:
 
     @property
     def good(self) -> bool:
-        """Whether nothing was wrong with the newest picture, nor with the stream before."""
+        """The stream is fine, and its newest picture raised no suspicion."""
         return self.verdict.fine and self._suspect == "fine"
 
     def _forget(self) -> None:
@@ -284,5 +284,5 @@ class _Stream:
         return 0
 
     def _moved(self, here: Array, there: Array) -> bool:
-        """Whether a working camera would show that the robot is elsewhere."""
+        """Returns True where a working camera would show that the robot is elsewhere."""
         return bool((np.abs(here - there) > self._reach).any())

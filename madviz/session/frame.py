@@ -45,7 +45,7 @@ class Change:
     moved: str = ""
     """Where the camera went, in words, if that is what was done."""
     acts: bool = True
-    """Whether the policy can act after it."""
+    """True where the policy can act after it."""
 
     @classmethod
     def between(
