@@ -67,8 +67,8 @@ async function open({base, policy, second, seed: wanted, events}) {
   guarded = false;
   begin(wanted);
   opened = true;
+  tell(); // As stage.js does: the frame is there before it says that it is ready.
   say({kind: 'Ready', seconds: 0.1, backend: 'fake', events: schedule});
-  tell();
 }
 
 function side(name) {
