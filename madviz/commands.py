@@ -90,9 +90,9 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(
         "Says what is missing on this machine and the command that fixes it; times a frame.",
         "doctor --task maniskill/push-cube",
-        config="madviz.doctor:DoctorConfig",
-        work="madviz.doctor:examine",
-        words="madviz.doctor:in_words",
+        config="madviz.envs.doctor:DoctorConfig",
+        work="madviz.envs.doctor:examine",
+        words="madviz.envs.doctor:in_words",
         ok=itemgetter("ok"),
     ),
     "sweep": Command(

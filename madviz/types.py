@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from madviz.errors import UserError, unknown
+from madviz.state_numbers import StateNumbers
 
 Array = np.ndarray
 Modality = Literal["rgb", "depth"]
@@ -75,15 +76,8 @@ class EnvSpec:
     action_repeat: int = 1
     """Simulator steps for one decision."""
     render_profile: str = "fast"
-    paper_state: tuple[int, ...] = ()
-    """The state numbers that the paper's table counts, where its code has more."""
-    state_changes: tuple[tuple[int, int], ...] = ()
-    """Pairs of state numbers, the same quantity now and a decision ago, whose difference is a speed
-    that the state does not hold by itself."""
-    state_angles: tuple[int, ...] = ()
-    """The state numbers that are angles or their speeds, in radians."""
-    robot_place: tuple[int, ...] = ()
-    """The state numbers that say where the robot is, no speeds and no past ones; none: all."""
+    state_numbers: StateNumbers = StateNumbers()
+    """The numbers of the state by what they say."""
     gripper: Literal["", "closes at 1", "closes at -1"] = ""
     """The effect of the last number of an action on the gripper; '' where it has none."""
     success: str = "at the last step"
@@ -92,8 +86,6 @@ class EnvSpec:
     """The task in words, for a policy that takes language."""
     action_spread: tuple[float, ...] = ()
     """Standard deviation of each number of the recorded actions; only recordings have it."""
-    start_state: tuple[int, ...] = ()
-    """The state numbers that tell where the object began, whatever the cameras show."""
 
     @property
     def recorded(self) -> bool:

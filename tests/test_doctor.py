@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from madviz import doctor
-from madviz.doctor import Check, DoctorConfig, check_opengl, check_packages, describe_cpu
+from madviz.envs import doctor
+from madviz.envs.doctor import Check, DoctorConfig, check_opengl, check_packages, describe_cpu
 from madviz.errors import UserError
 
 MESA = {"version": "4.5 (Compatibility Profile) Mesa 25.0.7-2", "renderer": "llvmpipe"}

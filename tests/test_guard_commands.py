@@ -153,7 +153,7 @@ def guarded_with(policy: Policy) -> GuardedPolicy:
     spec = policy.spec
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env:
         episodes = [play_intact(policy, env, seed, True) for seed in range(900, 904)]
-        places = env.spec.robot_place
+        places = env.spec.state_numbers.robot
     size = (spec.image_size, spec.image_size)
     return GuardedPolicy(policy, fit_values(episodes, size, places))
 

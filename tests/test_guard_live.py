@@ -41,7 +41,7 @@ def guarded() -> GuardedPolicy:
     policy = FakePolicy(NAME)
     with closing(make_env("toy/reach", policy.spec.render_profile, policy.spec.cameras)) as env:
         episodes = [play_intact(policy, env, seed, True) for seed in range(900, 904)]
-        places = env.spec.robot_place
+        places = env.spec.state_numbers.robot
     size = (policy.spec.image_size, policy.spec.image_size)
     return GuardedPolicy(policy, fit_values(episodes, size, places))
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from madviz.doctor import check_vulkan
 from madviz.envs import decimation
+from madviz.envs.doctor import check_vulkan
 from madviz.envs.maniskill import meshes, render, vulkan
 from madviz.envs.maniskill.environment import ManiSkill, cameras_of
 from madviz.envs.maniskill.tasks import position
@@ -88,7 +88,7 @@ def test_the_state_is_joints_speeds_and_what_the_task_adds(push: ManiSkill) -> N
     assert state.shape == (28,) and np.allclose(state[7:9], 0.04) and not state[9:18].any()
     assert np.allclose(state[18:21], position(push.simulation.agent.tcp), atol=1e-5)
     assert np.allclose(state[25:27], cube[:2] + [0.2, 0], atol=1e-5)
-    assert push.spec.start_state == (25, 26, 27)
+    assert push.spec.state_numbers.start == (25, 26, 27)
 
 
 def test_the_scene_has_the_cube_where_it_is_and_no_ground(push: ManiSkill) -> None:

@@ -140,7 +140,7 @@ def test_full_profile_casts_shadows_that_fast_leaves_out() -> None:
 def test_the_papers_four_numbers_are_the_hand_and_gripper_of_now() -> None:
     env = MetaWorld("push")
     env.reset(0)
-    state = env.step(np.array([1, 0, 0, 1])).state[list(env.spec.paper_state)]
+    state = env.step(np.array([1, 0, 0, 1])).state[list(env.spec.state_numbers.paper)]
     assert np.allclose(state[:3], env.simulation.data.body("hand").xpos, atol=0.02)
     assert np.allclose(state, env.observation[:4], atol=1e-6)
 

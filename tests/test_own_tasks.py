@@ -18,6 +18,7 @@ from madviz.measure.mean_picture import mean_pictures
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import stream_frame
 from madviz.runs.demonstrations import Driver, record_episode
+from madviz.state_numbers import StateNumbers
 from madviz.types import TimeStep, View
 from tests.fakes import FakePolicy
 
@@ -29,6 +30,10 @@ def toy(**facts: Any) -> ToyReach:
     made = ToyReach()
     made.spec = replace(made.spec, **facts)
     return made
+
+
+def states(**numbers: Any) -> ToyReach:
+    return toy(state_numbers=StateNumbers(**numbers))
 
 
 def named(*names: str) -> ToyReach:
@@ -61,8 +66,9 @@ MAKERS: dict[str, tuple[Callable[[], ToyReach], str]] = {
     "word": (lambda: named("all", "left", "right"), "none of them all, .*found 'all'"),
     "dot": (lambda: named("images.top", "left", "right"), "found 'images.top'; rename"),
     "twice": (lambda: named("left", "left", "right"), "each once, .*found 'left'"),
-    "start": (lambda: toy(start_state=(77,)), "state numbers from 0 to 5 .*found 77"),
-    "paper": (lambda: toy(paper_state=(6,)), "state numbers from 0 to 5 .*found 6"),
+    "start": (lambda: states(start=(77,)), "state_numbers from 0 to 5, found 77"),
+    "angles": (lambda: states(angles=(6,)), "state_numbers from 0 to 5, found 6"),
+    "before": (lambda: states(changes=((0, -1),)), "state_numbers from 0 to 5, found -1"),
     "fixed": (Fixed, "expected an attribute spec that can be set"),
     "failing": (failing, r"called without arguments, found TypeError.*\(.*\.py, line \d+\)"),
 }

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from madviz.doctor import check_recordings
+from madviz.envs.doctor import check_recordings
 from madviz.errors import UserError
 from madviz.recorded import films
 from madviz.recorded.films import letterboxed

@@ -64,7 +64,7 @@ def test_the_state_that_is_sent_can_be_put_back():
     sent = words.sent_state(state, env)
     np.testing.assert_array_equal(state, before)
     back = (sent / scale)[np.argsort(order)]
-    angles = list(env.state_angles)
+    angles = list(env.state_numbers.angles)
     back[angles] = np.radians(back[angles])
     np.testing.assert_allclose(back, state, atol=1e-6)
     assert angles[0] == 0 and 7 not in angles, "joints are angles, fingers are not"

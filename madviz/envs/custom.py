@@ -112,10 +112,8 @@ def _check_spec(task: str, spec: EnvSpec) -> None:
                 f"{task}: expected cameras whose names have letters, digits and _ alone, each "
                 f"once, none of them {', '.join(RESERVED)}; found {name!r:.60}; rename it"
             )
-    pairs = [number for pair in spec.state_changes for number in pair]
-    for number in (*spec.paper_state, *spec.start_state, *spec.robot_place, *pairs):
+    for number in spec.state_numbers.named:
         if not 0 <= number < spec.state_dim:
             raise UserError(
-                f"{task}: expected state numbers from 0 to {spec.state_dim - 1} in paper_state, "
-                f"start_state, robot_place and state_changes, found {number}"
+                f"{task}: expected state_numbers from 0 to {spec.state_dim - 1}, found {number}"
             )

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from madviz.envs.checks import check_action, resized_cameras
 from madviz.envs.placement import PlacedCameras
 from madviz.envs.tasks import INSTRUCTIONS
+from madviz.state_numbers import StateNumbers
 from madviz.types import Array, Body, CameraSpec, EnvSpec, Part, TimeStep, View
 
 STEP = 0.12
@@ -60,8 +61,7 @@ class ToyReach(PlacedCameras):
             state_dim=6,
             action_dim=2,
             horizon=25,
-            state_changes=((4, 2), (5, 3)),
-            robot_place=(4, 5),
+            state_numbers=StateNumbers(changes=((4, 2), (5, 3)), robot=(4, 5)),
             success=f"the hand is within {RADIUS} m of the target",
             instruction=INSTRUCTIONS[f"toy/{task}"],
         )

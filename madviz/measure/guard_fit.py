@@ -114,7 +114,7 @@ def run_guard(config: GuardConfig) -> FittedFile:
             play_intact(policy, env, seed, disturbed=number % 2 == 1)
             for number, seed in enumerate(seeds)
         ]
-        places = env.spec.robot_place
+        places = env.spec.state_numbers.robot
     size = (spec.image_size, spec.image_size)
     values = fit_values(episodes, size, places, tuple(seeds))
     write_values(out, values)

@@ -248,19 +248,20 @@ def _state_columns(config: TrainConfig, facts: EnvSpec) -> tuple[int, ...]:
     """The state numbers that are read; empty for all of them."""
     if config.state == "code":
         return ()
+    numbers = facts.state_numbers
     if config.state == "no-start":
-        if not facts.start_state:
+        if not numbers.start:
             raise UserError(
                 "expected --state no-start with a task whose state tells where the object began "
                 f"(maniskill/push-cube, maniskill/pull-cube), found {config.task}; leave it out"
             )
-        return tuple(n for n in range(facts.state_dim) if n not in facts.start_state)
-    if not facts.paper_state:
+        return tuple(n for n in range(facts.state_dim) if n not in numbers.start)
+    if not numbers.paper:
         raise UserError(
             "expected --state paper with a task with fewer numbers in the paper's table, found "
             f"{config.task}, which has none; leave it out"
         )
-    return facts.paper_state
+    return numbers.paper
 
 
 def learner_threads(config: TrainConfig) -> int:

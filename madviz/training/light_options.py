@@ -139,11 +139,12 @@ class LightConfig(RecipeOptions):
         return 1
 
     def networks(self, env: EnvSpec, state_columns: tuple[int, ...]) -> NetworkConfig:
+        changes = env.state_numbers.changes
         return NetworkConfig(
             env.state_dim,
             env.action_dim,
             feature_dim=self.feature_dim,
             hidden_dim=self.hidden_dim,
             state_columns=state_columns,
-            state_changes=env.state_changes if self.standard_state and not state_columns else (),
+            state_changes=changes if self.standard_state and not state_columns else (),
         )

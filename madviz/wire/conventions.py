@@ -87,7 +87,7 @@ class Conventions(msgspec.Struct, kw_only=True, frozen=True):
         """(S,) as it is sent, (S',) float32."""
         if self.state_degrees:
             state = state.copy()
-            angles = list(env.state_angles)
+            angles = list(env.state_numbers.angles)
             state[angles] = np.degrees(state[angles])
         if self.state_order:
             state = state[self.state_order]
@@ -126,7 +126,7 @@ def _check_state(words: Conventions, env: EnvSpec, where: str | Path) -> None:
     _check_indices("state_order", words.state_order, env.state_dim, where)
     sent = len(words.state_order) or env.state_dim
     _check_length("state_scale", words.state_scale, sent, where)
-    if words.state_degrees and not env.state_angles:
+    if words.state_degrees and not env.state_numbers.angles:
         raise UserError(
             f"{where}: expected 'state_degrees' for a task whose state has angles, found "
             f"{env.task}, whose state has none; drop it"

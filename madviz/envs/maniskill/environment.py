@@ -26,6 +26,7 @@ from madviz.envs.maniskill.tasks import PLACES, STATE_DIM, build, places, positi
 from madviz.envs.maniskill.vulkan import renderer
 from madviz.envs.placement import PlacedCameras, drawn_cameras
 from madviz.envs.tasks import INSTRUCTIONS, MANISKILL_SUCCESS
+from madviz.state_numbers import StateNumbers
 from madviz.types import Array, Body, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 50
@@ -86,14 +87,16 @@ class ManiSkill(PlacedCameras):
             drawn_cameras(cameras_of(task), cameras),
             state_dim=STATE_DIM.get(task, 28),
             action_dim=4,
-            state_angles=(*range(7), *range(9, 16)),  # Joints, and their speeds; no fingers.
-            robot_place=(*range(9), *range(pose, pose + 7)),
+            state_numbers=StateNumbers(
+                start=(25, 26, 27) if task in ("push-cube", "pull-cube") else (),
+                angles=(*range(7), *range(9, 16)),  # Joints, and their speeds; no fingers.
+                robot=(*range(9), *range(pose, pose + 7)),
+            ),
             gripper="closes at -1",
             horizon=HORIZON,
             render_profile=render_profile,
             success=MANISKILL_SUCCESS[task],
             instruction=INSTRUCTIONS[f"maniskill/{task}"],
-            start_state=(25, 26, 27) if task in ("push-cube", "pull-cube") else (),
         )
 
     def __init__(

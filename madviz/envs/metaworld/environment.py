@@ -9,7 +9,7 @@ orientation in the world does not change.
 
 The state is eight numbers (hand x y z in metres and gripper opening, now and one simulator step
 ago) for each of three decisions: 24, as in the paper's code. It holds neither object nor goal. The
-paper's table says 4; ``EnvSpec.paper_state`` names those, for policies that shall read no more.
+paper's table says 4; ``EnvSpec.state_numbers`` names those, for policies that shall read no more.
 
 Resets draw from a generator of the instance's own. Meta-World would use NumPy's global one, and
 several simulations side by side would then change each other's scenes.
@@ -31,10 +31,14 @@ from madviz.envs.mujoco.gl import check_gl
 from madviz.envs.mujoco.world import MuJoCoWorld
 from madviz.envs.placement import drawn_cameras
 from madviz.envs.tasks import INSTRUCTIONS, METAWORLD_SUCCESS
+from madviz.state_numbers import StateNumbers
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep
 
 ACTION_REPEAT = 2
 HORIZON = 100
+HAND = (16, 17, 18, 19)
+"""The state numbers of the hand now, and ``HAND_BEFORE`` a decision ago."""
+HAND_BEFORE = (8, 9, 10, 11)
 
 CAMERAS = (
     CameraSpec(
@@ -99,9 +103,9 @@ class MetaWorld(MuJoCoWorld):
             f"metaworld/{task}",
             drawn_cameras(CAMERAS, cameras),
             state_dim=24,
-            paper_state=(16, 17, 18, 19),
-            robot_place=(16, 17, 18, 19),
-            state_changes=((16, 8), (17, 9), (18, 10), (19, 11)),
+            state_numbers=StateNumbers(
+                paper=HAND, robot=HAND, changes=tuple(zip(HAND, HAND_BEFORE, strict=True))
+            ),
             action_dim=4,
             gripper="closes at 1",
             horizon=HORIZON,

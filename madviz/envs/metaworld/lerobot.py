@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from madviz.envs.metaworld.environment import CAMERAS, MetaWorld
+from madviz.state_numbers import StateNumbers
 from madviz.types import Array, CameraSpec, EnvSpec, TimeStep, View
 
 HORIZON = 500
@@ -58,9 +59,7 @@ class LeRobotMetaWorld(MetaWorld):
             MetaWorld.describe(task, render_profile, cameras or own),
             task=f"lerobot/{task}",
             state_dim=4,
-            paper_state=(),
-            robot_place=(),
-            state_changes=(),
+            state_numbers=StateNumbers(),
             horizon=HORIZON,
             action_repeat=1,
             instruction=INSTRUCTIONS[task],

@@ -145,7 +145,7 @@ def _orders(count: int) -> Iterator[list[int]]:
 
 
 def _state_units(wiring: Wiring, env: EnvSpec) -> Iterator[Change]:
-    if env.state_angles:
+    if env.state_numbers.angles:
         unit = "radians" if wiring.state_degrees else "degrees"
         yield "state units", f"angles in {unit}", {"state_degrees": not wiring.state_degrees}
     if isinstance(wiring.state_scale, float):
