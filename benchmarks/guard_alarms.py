@@ -103,9 +103,10 @@ def guard_alarms(config: GuardAlarmsConfig) -> list[AlarmsFile]:
     results = []
     for name in config.policies:
         policy = checkpoint.load_policy(with_guard(name, True))
-        file = config.out / f"{Path(name).name}-{policy.spec.digest[:8]}.json"
+        played = f"{seeds[0]}-{len(seeds)}"
+        file = config.out / f"{Path(name).name}-{policy.spec.digest[:8]}-{played}.json"
         known = read_json(file) if file.is_file() else {"schema": 0}
-        if known["schema"] != SCHEMA or known["seeds"] != list(seeds):
+        if known["schema"] != SCHEMA:
             assert isinstance(policy, GuardedPolicy)
             write_json(file, _alarms(policy, seeds))
             known = read_json(file)
@@ -146,9 +147,9 @@ def _alarms(policy: GuardedPolicy, seeds: range) -> AlarmsFile:
             found = _watched(policy, env, seed, failures=True)
             intact += [f"{seed} {alarm}" for alarm in found.pop(("", ""))]
             for what, alarms in found.items():
-                step = min((int(alarm.split("@")[1]) for alarm in alarms), default=None)
                 begin = WAYS[what[1]][1]
-                steps.setdefault(what, []).append(None if step is None else step - begin)
+                since = [int(alarm.split("@")[1]) - begin for alarm in alarms]
+                steps.setdefault(what, []).append(min(since, default=None))
         for seed in seeds:
             camera = cameras[seed % len(cameras)]
             env.move_camera(camera, MOVED.placed(env.spec.camera(camera)))
@@ -208,7 +209,8 @@ def _watched(
 
 
 class Watcher:
-    """A guard on the pictures of all cameras, or on those of one that fails."""
+    """A guard on the pictures of all cameras, or on those of one that fails. An alarm that was
+    raised before the failure began is none of it."""
 
     def __init__(
         self, policy: GuardedPolicy, env: Environment, camera: str = "", way: str = ""
@@ -218,18 +220,19 @@ class Watcher:
         self._streams = [one for one in spec.streams if camera in ("", camera_of(one))]
         self._camera = camera
         self._way = way
+        self._begin = WAYS[way][1] if way else 0
         self._guard = Guard(policy.values)
         self._first: dict[str, CameraVerdict] = {}
 
     def watch(self, views: dict[str, View], state: Array, seed: int, step: int) -> None:
         """The pictures of one step."""
         ablation = Ablation()
-        if self._way and step >= WAYS[self._way][1]:
+        if self._way and step >= self._begin:
             ablation = Ablation({self._camera: CameraState(occlusion=WAYS[self._way][0])})
         self.stack.push(views, ablation, seed, step)
         pictures = {stream: self.stack.newest[stream] for stream in self._streams}
         for stream, verdict in self._guard.step(pictures, state).items():
-            if not verdict.fine:
+            if not verdict.fine and (verdict.since or 0) >= self._begin:
                 self._first.setdefault(stream, verdict)
 
     def alarms(self) -> Iterator[str]:

@@ -45,7 +45,8 @@ class TrialRow(TypedDict):
     n: int
     noticed: list[int | None]
     """By episode with the guard: how many steps after the failure began it noticed something, 0 at
-    the same one; None: at none. In intact episodes these are false alarms, from the first step."""
+    the same one; None: at none, or before it began, which is a false alarm. In intact episodes
+    these are false alarms, from the first step."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,12 @@ def trial_words(result: GuardTrialFile) -> str:
     return "\n".join(lines)
 
 
+def steps_after(begin: int, alarms: Iterable[int | None]) -> list[int | None]:
+    """Steps from ``begin`` until the first alarm of each episode; None where none was raised, or
+    one before: that one was false, and the store doesn't hold a second."""
+    return [None if at is None or at < begin else at - begin for at in alarms]
+
+
 def note_trial(name: str, seeds: range) -> None:
     """Adds an included policy to the ledger of readings, where these are reporting seeds. A trial
     that goes on, or adds conditions, is the same reading."""
@@ -125,10 +132,6 @@ def _of_policy(
             SuccessRate.counted(result.success for result in each.values()).value
             for each in results
         )
-        noticed = [
-            None if result.noticed is None else result.noticed - begin
-            for result in results[1].values()
-        ]
         return TrialRow(
             policy=name,
             camera=camera,
@@ -137,7 +140,7 @@ def _of_policy(
             guarded=with_it,
             dropped=dropped,
             n=len(seeds),
-            noticed=noticed,
+            noticed=steps_after(begin, (result.noticed for result in results[1].values())),
         )
 
     failing = {

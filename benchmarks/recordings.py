@@ -27,6 +27,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from benchmarks.memory import kilobytes
 from madviz.envs.registry import env_spec
 from madviz.errors import UserError
 from madviz.recording.lerobot import Decision, write_dataset
@@ -73,8 +74,11 @@ class BenchRecordingsConfig:
 
 
 def bench_recordings(config: BenchRecordingsConfig) -> dict[str, Any]:
-    """The module's numbers. Raises UserError where the training fails."""
+    """The module's numbers. Raises UserError for a Python without LeRobot, and where the training
+    fails."""
     check_numbers(config)
+    if config.lerobot is not None:
+        _check_lerobot(config.lerobot)
     with TemporaryDirectory() as place:
         folder = Path(place) / "films"
         rng = np.random.default_rng(0)
@@ -161,7 +165,17 @@ def _trained(place: Path, config: BenchRecordingsConfig) -> dict[str, Any]:
 def _megabytes(process: int) -> float:
     """The largest resident memory so far, 0 where the process has ended."""
     try:
-        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+        return (kilobytes("VmHWM", Path(f"/proc/{process}/status")) or 0) / 1024
     except OSError:
         return 0.0
-    return next((int(one.split()[1]) / 1024 for one in lines if one.startswith("VmHWM")), 0.0)
+
+
+def _check_lerobot(python: Path) -> None:
+    """Raises UserError where ``python`` cannot import LeRobot: before the long work, not after."""
+    try:
+        found = subprocess.run([python, "-c", "import lerobot"], capture_output=True, text=True)
+        why = (found.stderr.splitlines() or [""])[-1] if found.returncode else ""
+    except OSError as error:
+        why = str(error)
+    if why:
+        raise UserError(f"expected a Python with LeRobot in {python}, found: {why:.200}")

@@ -21,11 +21,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.live import started
 from madviz.errors import UserError
+from madviz.subsets import mask_of
 from madviz.system.browser import CHROMIUM_FLAGS
 from madviz.system.numbers import Count, Time
 
@@ -158,16 +160,18 @@ def speeds(
 def successes(
     page: Page, policy: dict[str, Any], config: BenchSiteConfig
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Success of a policy under each subset, and every episode."""
+    """Success of a policy under each subset, and every episode. Raises UserError for a subset that
+    the policy's cameras don't have."""
     rows = {}
     played = []
     cameras = [camera["name"] for camera in policy["cameras"]]
     seeds = page.evaluate("task => driver.seeds(task)", policy["task"])
     episodes = min(config.episodes, len(seeds))
     for subset in config.subsets or ("all", *cameras):
+        present = list(compress(cameras, mask_of(subset, tuple(cameras))))
         page.evaluate(
-            "([name, seed, subset]) => driver.prepare(name, seed, subset)",
-            [policy["name"], seeds[-1], subset],
+            "([name, seed, present]) => driver.prepare(name, seed, present)",
+            [policy["name"], seeds[-1], present],
         )
         found = page.evaluate("count => driver.play(count)", episodes)
         count = sum(outcome["success"] for outcome in found)

@@ -51,12 +51,11 @@ globalThis.driver = (() => {
     return 1000 * decisions / spent;
   }
 
-  /** A policy on the seed before the first, with a subset of its cameras. */
-  async function prepare(policy, seed, subset) {
+  /** A policy on the seed before the first, with those cameras alone that are present. */
+  async function prepare(policy, seed, present) {
     await open([policy], seed);
-    const there = subset === 'all' ? null : subset.split('+');
     for (const camera of Object.keys(frame.first.cameras)) {
-      const input = !there || there.includes(camera) ? 'both' : 'off';
+      const input = present.includes(camera) ? 'both' : 'off';
       post({kind: 'SetCamera', side: 'both', camera, state: {input, occlusion: intact}});
     }
     post({kind: 'SetReadout', every: 0});

@@ -195,7 +195,7 @@ def judged(samples: Sequence[Sample], minutes: float) -> dict[str, Any]:
     before = statistics.median(s.memory_mb for s in first)
     after = statistics.median(s.memory_mb for s in last)
     growth = after / before - 1
-    between = minutes / 60 * (1 - ignored / len(samples)) * 2 / 3  # Hours, from middle to middle.
+    between = minutes / 60 * (len(warm) - part) / len(samples)  # Hours, from middle to middle.
     threads = (int(max(s.threads for s in first)), int(min(s.threads for s in last)))
     processes = (max(s.processes for s in first), min(s.processes for s in last))
     within = (

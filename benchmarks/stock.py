@@ -44,7 +44,9 @@ class MetaWorldStock:
         self._flags = mujoco.mjtRndFlag
 
     def step(self) -> None:
-        self._simulation.step(np.zeros(4, np.float32))
+        *_, over, _ = self._simulation.step(np.zeros(4, np.float32))
+        if over:  # It refuses a step after its last one.
+            self._simulation.reset()
 
     def draw(self) -> list[Array]:
         """One (H, W, 3) uint8 picture of each camera, as it comes out of the frame buffer."""

@@ -85,7 +85,7 @@ class WaitsConfig:
 
 def bench_waits(config: WaitsConfig) -> dict[str, Any]:
     """``now``, with ``before`` beside it if asked: medians of the module's table. Raises UserError
-    for an unknown suite and where no picture comes."""
+    for an unknown suite, a ``before`` that is no checkout, and where no picture comes."""
     known = [*SUITES, "commands"]
     if config.suite not in known:
         raise UserError(f"expected a suite of {', '.join(known)}, found {config.suite!r}")
@@ -93,13 +93,19 @@ def bench_waits(config: WaitsConfig) -> dict[str, Any]:
     measure = measured_commands if commands else partial(measured, config.suite)
     roots: dict[str, Path | None] = {"now": None}
     if config.before is not None:
+        # Python would take the package of this checkout where the other folder has none.
+        if not (config.before / "madviz/__main__.py").is_file():
+            raise UserError(
+                f"expected a checkout in {config.before}, found no madviz/__main__.py there; name "
+                "the folder that holds madviz/"
+            )
         roots["before"] = config.before
     found: dict[str, list[dict[str, float]]] = {name: [] for name in roots}
     for _ in range(config.rounds):
         for name, root in roots.items():
             found[name].append(measure(root))
     medians = {
-        name: {key: round(statistics.median(one[key] for one in rounds), 2) for key in rounds[0]}
+        name: {key: round(statistics.median(one[key] for one in rounds), 3) for key in rounds[0]}
         for name, rounds in found.items()
     }
     return {"schema": 1, "suite": config.suite, "rounds": config.rounds, **medians}

@@ -120,6 +120,25 @@ def test_the_launcher_sends_a_browser_to_the_page_with_its_token(
     assert c.ServerProxy.servers["madviz"]["command"][:2] == ["madviz", "explore"]
 
 
+def test_a_password_is_kept_where_a_later_account_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = []
+
+    def run(command: str, *words: str, input: str = "", text: bool = True) -> None:
+        if "student03" in words:
+            raise OSError("no more accounts")
+        if input:
+            given.append(input.strip().replace(":", ","))
+
+    monkeypatch.setitem(SERVER["students"].__globals__, "run", run)
+    passwords = tmp_path / "passwords.csv"
+    with pytest.raises(OSError, match="no more"):
+        SERVER["students"](["student01", "student02", "student03"], passwords)
+    assert len(given) == 2 and passwords.read_text().splitlines() == given
+    assert passwords.stat().st_mode & 0o077 == 0
+
+
 def test_a_link_is_never_collected(tmp_path: Path) -> None:
     contents = SERVER["contents"]
     home = tmp_path / "home"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.guard_alarms import WAYS, GuardAlarmsConfig, alarms_words, guard_alarms
-from benchmarks.guard_trial import GuardTrialConfig, guard_trial, trial_words
+from benchmarks.guard_trial import GuardTrialConfig, guard_trial, steps_after, trial_words
 from madviz.envs.registry import SETTINGS, make_env
 from madviz.errors import UserError
 from madviz.guard.fit import fit_values
@@ -191,6 +191,10 @@ def test_maniskill_has_a_guard_too(tmp_path) -> None:
     assert fitted["bytes"] < 20_000
     guarded = GuardedPolicy(load_policy(name), read_values(out, "fit"))
     assert black_from(guarded, "first", 2).mask.tolist() == [False, True, True]
+
+
+def test_an_alarm_before_the_failure_is_not_that_it_was_noticed() -> None:
+    assert steps_after(20, [20, 23, 9, None]) == [0, 3, None, None]
 
 
 @pytest.mark.slow

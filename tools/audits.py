@@ -13,6 +13,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import Any
 
@@ -125,10 +126,13 @@ def play(out: Path, name: str) -> None:
 
 
 def main(words: list[str]) -> None:
-    out = Path(words[0])
-    out.mkdir(parents=True, exist_ok=True)
-    for name in words[1:]:
-        play(out, name)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("policies", nargs="+", choices=[*AUDITS, *ALONG], metavar="policy")
+    asked = parser.parse_args(words)
+    asked.out.mkdir(parents=True, exist_ok=True)
+    for name in asked.policies:
+        play(asked.out, name)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import json
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -182,9 +183,13 @@ DESIGNS = {"crossed": crossed, "rewards": rewards}
 
 
 def main(words: Sequence[str]) -> None:
-    name, out, *chosen = words
-    tasks = [word for word in chosen if not word.isdigit()]
-    DESIGNS[name](Path(out), tasks, [int(word) for word in chosen if word.isdigit()])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("design", choices=DESIGNS)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("chosen", nargs="*", help="tasks and seeds; by default all")
+    asked = parser.parse_args(words)
+    tasks = [word for word in asked.chosen if not word.isdigit()]
+    DESIGNS[asked.design](asked.out, tasks, [int(one) for one in asked.chosen if one.isdigit()])
 
 
 if __name__ == "__main__":

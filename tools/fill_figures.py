@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -180,17 +181,20 @@ def with_claims(text: str) -> str:
 
 
 def main(arguments: list[str]) -> int:
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if out of date")
+    check = parser.parse_args(arguments).check
     stale = []
     results = ROOT / "results" / "RESULTS.md"
     for page in (ROOT / "README.md", results, *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text()
         if (new := filled(with_claims(text) if page == results else text)) != text:
             stale.append(page.relative_to(ROOT))
-            if "--check" not in arguments:
+            if not check:
                 page.write_text(new)
-    state = "out of date" if "--check" in arguments else "filled"
+    state = "out of date" if check else "filled"
     print(*(f"{state}: {page}" for page in stale), sep="\n")
-    return 1 if stale and "--check" in arguments else 0
+    return 1 if stale and check else 0
 
 
 if __name__ == "__main__":

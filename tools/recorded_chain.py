@@ -16,6 +16,7 @@ import os
 import subprocess
 import sys
 import threading
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -223,7 +224,9 @@ def _command(*words: str) -> list[str]:
 
 
 def main(words: Sequence[str]) -> None:
-    out = Path(words[0])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    out = parser.parse_args(words).out
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "hammer").exists():
         _madviz("record", "--expert", TASK, *RECORDED, "--out", str(out / "hammer"))

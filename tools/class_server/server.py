@@ -116,25 +116,27 @@ def lessons(prefix: Path, copies: Path) -> None:
 
 
 def students(names: list[str], passwords: Path) -> None:
-    """Makes an account for every name that has none, and adds the others to the class. Passwords of
-    new accounts go to the file ``passwords``."""
+    """Makes an account for every name that has none, and adds the others to the class. The password
+    of a new account is in the file ``passwords`` before the account has it, so that none is lost
+    where a later account fails."""
     if wrong := [name for name in names if not NAME.fullmatch(name)]:
         raise Complaint(f"expected names such as student01, found {wrong[0]!r}; change it")
     known = {user.pw_name for user in pwd.getpwall()}
-    made = []
-    for name in names:
-        if name in known:
-            run("usermod", "--append", "--groups", GROUP, name)
-            continue
-        words = ("--create-home", "--groups", GROUP, "--shell", "/bin/bash")
-        run("useradd", *words, "--key", "HOME_MODE=0700", name)
-        password = "".join(secrets.choice(LETTERS) for _ in range(10))
-        run("chpasswd", input=f"{name}:{password}\n", text=True)
-        made.append((name, password))
+    made = 0
     private = os.open(passwords, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     with open(private, "a", newline="") as file:
-        csv.writer(file).writerows(made)
-    print(f"{len(made)} accounts made; their passwords are in {passwords}")
+        for name in names:
+            if name in known:
+                run("usermod", "--append", "--groups", GROUP, name)
+                continue
+            words = ("--create-home", "--groups", GROUP, "--shell", "/bin/bash")
+            run("useradd", *words, "--key", "HOME_MODE=0700", name)
+            password = "".join(secrets.choice(LETTERS) for _ in range(10))
+            csv.writer(file).writerow((name, password))
+            file.flush()
+            run("chpasswd", input=f"{name}:{password}\n", text=True)
+            made += 1
+    print(f"{made} accounts made; their passwords are in {passwords}")
 
 
 def hub_command(prefix: Path) -> list[str]:
