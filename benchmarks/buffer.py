@@ -24,7 +24,7 @@ from madviz.envs.registry import TaskName, make_env
 from madviz.errors import UserError
 from madviz.runs.buffer import BufferSpec, ReplayBuffer
 from madviz.runs.buffer_storage import TOGETHER
-from madviz.system.numbers import Count, StepsOrNone, Width
+from madviz.system.numbers import Count, CountOrNone, Width
 from madviz.types import Array, Environment
 
 PAPER = 500_000
@@ -45,7 +45,7 @@ class BenchBufferConfig:
     """Transitions in a timed batch."""
     rounds: Count = 15
     """Timed batches of each side; one more is not timed."""
-    fill: StepsOrNone = 0
+    fill: CountOrNone = 0
     """Also fill a packed buffer with so many transitions and measure the process; 0 does not."""
 
 

@@ -22,7 +22,6 @@ from madviz.observation.displacement import (
     MOST_ZOOM,
     Displacement,
     MoveCamera,
-    along,
     dragged,
     moved_on,
     trained_axes,
@@ -110,8 +109,6 @@ def test_a_move_in_words_and_as_a_key():
     assert move.words() == "0.10 m to the left, turned right 5°, zoomed in to 1.50"
     assert move.key() == "moved,right=-0.1,pan=5,zoom=1.5"
     assert Displacement().is_none and Displacement().words() == "in its place"
-    with pytest.raises(UserError, match="unknown direction"):
-        along("sideways", 0.1)
 
 
 def test_a_moved_camera_is_a_setting_of_its_own_and_old_keys_stay():

@@ -101,7 +101,7 @@ def q_shapley(
 ) -> ShapleyValues:
     """The cameras' shares in Q, the critic's forecast, at this time step. NaN without a critic, and
     where the policy cannot act on some of the sets."""
-    rows = _rows(probe, camera_masks(streams, present))
+    rows = [probe.row(mask) for mask in camera_masks(streams, present)]
     return _values(probe.readout.q[rows].astype(np.float64))
 
 
@@ -117,7 +117,7 @@ def action_shapley(
     camera that pulls away from what is finally done has a negative value. What is shared is how
     far the action goes from blind to seeing, |a(none) - a(all)|.
     """
-    rows = _rows(probe, camera_masks(streams, present))
+    rows = [probe.row(mask) for mask in camera_masks(streams, present)]
     actions = probe.readout.action[rows].astype(np.float64)  # (2^C, A); all present first.
     return _values(-np.linalg.norm(actions - actions[0], axis=1))
 
@@ -158,10 +158,6 @@ def success_interval(
 def set_names(streams: tuple[str, ...], present: Array | None = None) -> tuple[str, ...]:
     """The subset behind every set of cameras, by name; as long as ``camera_masks``."""
     return tuple(name_of(mask, streams) for mask in camera_masks(streams, present))
-
-
-def _rows(probe: Probe, masks: Array) -> list[int]:
-    return [probe.row(mask) for mask in masks]
 
 
 def _values(values: Array) -> ShapleyValues:

@@ -15,7 +15,6 @@ be shared by all.
 
 from __future__ import annotations
 
-import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,8 +29,6 @@ from madviz.app.viser_patches import patch_rendering
 from madviz.session.live_session import LiveSession
 from madviz.system.hosts import new_token
 from madviz.system.processes import release_memory
-
-log = logging.getLogger(__name__)
 
 WATCHING = (
     "You are watching: all {} simulations here are taken. You get one of your own as soon as the "

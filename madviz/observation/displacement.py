@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from madviz.errors import UserError, unknown
+from madviz.errors import UserError
 from madviz.types import Array, CameraPose, CameraSpec
 
 LARGEST = {
@@ -115,14 +115,6 @@ class MoveCamera:
 
     camera: str
     move: Displacement | None
-
-
-def along(name: str, value: float) -> Displacement:
-    """A move along one axis. Raises UserError for an unknown one and for a value out of range."""
-    known = list(Displacement.__dataclass_fields__)
-    if name not in known:
-        raise unknown("direction", name, known)
-    return Displacement(**{name: value})
 
 
 def trained_axes(pose: CameraPose, move: Displacement) -> Rotation:

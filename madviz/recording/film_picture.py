@@ -10,8 +10,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
@@ -74,10 +72,10 @@ def whole_picture(frame: Frame, sides: list[Array], title: str, words: str) -> A
     canvas[HEADER : HEADER + SCENE + STRIP, SIDE + SPACE :] = sides[1]
     image = Image.fromarray(canvas)
     draw = ImageDraw.Draw(image)
-    draw.text((20, 14), title, fill=INK, font=_font(30))
+    draw.text((20, 14), title, fill=INK, font=ImageFont.load_default(30))
     world = frame.world
     step = f"{world.env.task}   seed {world.seed}   step {world.step} of {world.env.horizon}"
-    draw.text((WIDTH - 20, 20), step, fill=MUTED, font=_font(22), anchor="ra")
+    draw.text((WIDTH - 20, 20), step, fill=MUTED, font=ImageFont.load_default(22), anchor="ra")
     second = frame.second
     assert second is not None
     for left, side in ((0, frame), (SIDE + SPACE, second)):
@@ -95,18 +93,28 @@ def _name(draw: ImageDraw.ImageDraw, side: Frame, left: int) -> None:
     policy = side.world.policy
     known = METHODS.get(policy.method)
     words = known.page_words if known else ""
-    draw.text((left + 20, 68), words or label_of(policy), fill=NOTE, font=_font(28))
+    draw.text(
+        (left + 20, 68), words or label_of(policy), fill=NOTE, font=ImageFont.load_default(28)
+    )
     if side.ended:
         word = "SUCCESS" if side.world.success else "FAIL"
-        box = draw.textbbox((left + SIDE - 24, HEADER + 20), word, font=_font(44), anchor="ra")
+        box = draw.textbbox(
+            (left + SIDE - 24, HEADER + 20), word, font=ImageFont.load_default(44), anchor="ra"
+        )
         draw.rectangle((box[0] - 14, box[1] - 10, box[2] + 14, box[3] + 10), fill=_GROUND)
         colour = GOOD if side.world.success else BAD
-        draw.text((left + SIDE - 24, HEADER + 20), word, fill=colour, font=_font(44), anchor="ra")
+        draw.text(
+            (left + SIDE - 24, HEADER + 20),
+            word,
+            fill=colour,
+            font=ImageFont.load_default(44),
+            anchor="ra",
+        )
 
 
 def _lines(draw: ImageDraw.ImageDraw, words: str, left: int, top: int, width: int) -> None:
     """``words`` in lines of at most ``width`` pixels, as large as two lines have room."""
-    font = _font(26)
+    font = ImageFont.load_default(26)
     lines = [""]
     for word in words.split():
         longer = f"{lines[-1]} {word}".strip()
@@ -116,7 +124,3 @@ def _lines(draw: ImageDraw.ImageDraw, words: str, left: int, top: int, width: in
             lines[-1] = longer
     for number, line in enumerate(lines[:3]):
         draw.text((left, top + 34 * number), line, fill=INK, font=font)
-
-
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)

@@ -7,7 +7,6 @@ changed, so that a viewer who stops the film sees what a lost camera did.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -83,20 +82,18 @@ def _caption(frame: Frame, facts: Facts, width: int) -> Array:
     )
     state = f"step {frame.world.step}/{frame.world.env.horizon}  cameras: {condition_words(frame)}"
     _text(draw, state, 6, 28, width - 130, INK)
-    draw.text((width - 6, 28), verdict(frame), fill=colour, font=_font(15), anchor="ra")
+    draw.text(
+        (width - 6, 28), verdict(frame), fill=colour, font=ImageFont.load_default(15), anchor="ra"
+    )
     return np.asarray(image)
 
 
 def _text(draw: ImageDraw.ImageDraw, words: str, x: int, y: int, width: int, colour: str) -> None:
     """Words in at most ``width`` pixels; what does not fit is left out with dots."""
-    font = _font(14)
+    font = ImageFont.load_default(14)
     while draw.textlength(words, font=font) > width and len(words) > 4:
         words = words[:-4].rstrip() + "..."
     draw.text((x, y), words.replace("·", "|"), fill=colour, font=font)
-
-
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)
 
 
 def _curve(values: list[float], marks: list[int], horizon: int, width: int) -> Array:
@@ -121,6 +118,6 @@ def _curve(values: list[float], marks: list[int], horizon: int, width: int) -> A
     cv2.polylines(canvas, [np.array(points, np.int32)], False, rgb(GOOD), 1, cv2.LINE_AA)
     image = Image.fromarray(canvas)
     draw = ImageDraw.Draw(image)
-    draw.text((6, 6), f"Q {high:.1f}", fill=MUTED, font=_font(11))
-    draw.text((6, CURVE - 18), f"Q {low:.1f}", fill=MUTED, font=_font(11))
+    draw.text((6, 6), f"Q {high:.1f}", fill=MUTED, font=ImageFont.load_default(11))
+    draw.text((6, CURVE - 18), f"Q {low:.1f}", fill=MUTED, font=ImageFont.load_default(11))
     return np.asarray(image)

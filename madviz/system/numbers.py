@@ -58,7 +58,6 @@ class Range(PrimitiveConstructorSpec[Any]):
 Count = Annotated[int, Range(int, 1, 1_000_000)]
 CountOrNone = Annotated[int, Range(int, 0, 1_000_000)]
 Steps = Annotated[int, Range(int, 1, 1_000_000_000)]
-StepsOrNone = Annotated[int, Range(int, 0, 1_000_000_000)]
 Seed = Annotated[int, Range(int, 0, 2**31 - 1)]
 Threads = Annotated[int, Range(int, 1, 256)]
 ThreadsOrNone = Annotated[int, Range(int, 0, 256)]
@@ -73,8 +72,6 @@ Share = Annotated[float, Range(float, 0, 1)]
 Weight = Annotated[float, Range(float, 0, 1_000_000)]
 Rate = Annotated[float, Range(float, 0, 1000, above=True)]
 """A learning rate, or how often a second."""
-Distance = Annotated[float, Range(float, -90, 90)]
-"""Metres or degrees that a camera goes, or its zoom."""
 Time = Annotated[float, Range(float, 0, 1_000_000, above=True)]
 """Seconds or minutes."""
 

@@ -21,7 +21,6 @@ own says all of this in its handshake, and needs no file.
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -37,6 +36,7 @@ from madviz.errors import UserError, unknown
 from madviz.recorded.known import is_recording, recordings_of
 from madviz.recorded.robot import robot_of
 from madviz.subsets import camera_of, every_mask, mask_of, name_of
+from madviz.system.files import read_toml
 from madviz.system.typed import typed
 from madviz.types import (
     CameraSpec,
@@ -142,12 +142,9 @@ class PolicyFacts(msgspec.Struct, kw_only=True, frozen=True):
 def read_wiring(path: str | Path) -> Wiring:
     """The file at ``path``. Raises UserError for one that cannot be read, lacks a key or has one
     too many, by name."""
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise UserError(f"--wire {path}: expected a TOML file, found: {why}") from error
-    wiring = typed(document, Wiring, f"--wire {path}", "see docs/own-policy.md")
+    fix = "see docs/own-policy.md"
+    document = read_toml(Path(path), "a file for --wire", fix)
+    wiring = typed(document, Wiring, f"--wire {path}", fix)
     return _with_rgb(checked(wiring, path))
 
 
