@@ -194,6 +194,26 @@ def test_fitting_refuses_too_little() -> None:
         fit_values([scene.episode(seed) for seed in range(4)], (42, 42), state=(0, 2))
 
 
+def test_episodes_that_do_not_fit_each_other_are_named() -> None:
+    good = [scene.episode(seed) for seed in range(4)]
+    sums = good[0].sums["camera"]
+    odd = {
+        r"pictures of \(42, 42\).*found \(21, 42\) in episode 2": {"size": (21, 42)},
+        "camera and 2 .*found wrist and 2 in episode 2": {"sums": {"wrist": sums}},
+        "found camera and 3 in episode 2": {"states": np.zeros((len(sums), 3))},
+    }
+    for words, change in odd.items():
+        with pytest.raises(UserError, match=words):
+            fit_values([*good[:2], replace(good[2], **change), good[3]], (42, 42))
+    with pytest.raises(UserError, match=r"pictures of \(100, 60\)"):
+        fit_values(good, (100, 60))
+    with pytest.raises(UserError, match="state of 2 numbers, found -1"):
+        fit_values(good, (42, 42), state=(-1,))
+    sizes = [{"camera": np.zeros((size, 42, 3), np.uint8)} for size in (42, 21)]
+    with pytest.raises(UserError, match="pictures of one size"):
+        seen_episode(sizes, np.zeros((2, 2)))
+
+
 @pytest.mark.parametrize(
     ("pictures", "states", "words"),
     [

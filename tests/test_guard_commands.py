@@ -63,6 +63,17 @@ def test_without_values_one_line_names_the_command(tmp_path) -> None:
         run_guard(GuardConfig(str(folder), episodes=1))
 
 
+def test_fitted_values_replace_nothing_else(guarded, tmp_path) -> None:
+    weights = tmp_path / "weights.safetensors"
+    weights.write_bytes(b"weights")
+    with pytest.raises(UserError, match="values of a guard, found another file in .*weights"):
+        run_guard(GuardConfig(str(guarded), out=weights))
+    assert weights.read_bytes() == b"weights"
+    same = guarded / FILE
+    with pytest.raises(UserError, match="--json beside the values"):
+        run_guard(GuardConfig(str(guarded), json=str(same)))
+
+
 def test_black_from_the_first_step_is_as_good_as_dropped(guarded) -> None:
     black = EvalConfig(
         str(guarded), ("all",), episodes=2, workers=0, occlude=("first=black",), guard=True
@@ -87,8 +98,12 @@ def test_compare_and_record_and_audit_take_it(guarded, tmp_path) -> None:
     words = ("all", "first=black")
     compared = CompareConfig((str(guarded),), conditions=words, guard=True, episodes=2, workers=0)
     assert "left out until it works" in comparison_table(run_compare(compared))
-    with pytest.raises(UserError, match="expected --conditions beside --guard"):
-        run_compare(CompareConfig((str(guarded),), guard=True))
+    for name, value in {"guard": True, "episodes": 2, "seed": 7, "workers": 0}.items():
+        with pytest.raises(UserError, match=f"expected --conditions beside --{name}"):
+            run_compare(replace(CompareConfig((str(guarded),)), **{name: value}))
+    own = "madviz.examples.own_policy:make"
+    with pytest.raises(UserError, match=f"measured episodes in a folder, found '{own}'"):
+        run_compare(CompareConfig((own, str(guarded))))
     out = tmp_path / "film.html"
     recorded = run_record(
         RecordConfig(out, str(guarded), steps=3, drop=("first=black@0",), guard=True)
@@ -180,6 +195,16 @@ def test_colour_and_depth_of_a_camera_are_left_out_together() -> None:
     report = black_from(guarded_with(FakePolicy("toy-rgbd", "three-rgbd")), "first", 3)
     left = [camera_of(stream) == "first" for stream in SETTINGS["three-rgbd"].streams]
     assert report.mask.tolist() == [not one for one in left] and sum(left) == 2
+
+
+def test_the_guard_sees_the_state_that_the_policy_was_given() -> None:
+    class Own(FakePolicy):
+        """Keeps its state in another form, as a policy that normalises it does."""
+
+        def encode(self, views, state):
+            return replace(super().encode(views, state), state=np.zeros(0, np.float32))
+
+    assert black_from(guarded_with(Own()), "first", 3).mask.tolist() == [False, True, True]
 
 
 @pytest.mark.slow

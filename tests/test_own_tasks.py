@@ -17,13 +17,21 @@ from madviz.measure.episodes import run_episode
 from madviz.measure.mean_picture import mean_pictures
 from madviz.observation.ablation import Ablation
 from madviz.observation.streams import stream_frame
+from madviz.recording.lerobot import expert_decisions
 from madviz.runs.demonstrations import Driver, record_episode
 from madviz.state_numbers import StateNumbers
-from madviz.types import TimeStep, View
+from madviz.types import Array, TimeStep, View
 from tests.fakes import FakePolicy
 
 ALL = np.ones(3, bool)
 STREAMS = ("first", "third_a", "third_b")
+
+
+PLAYS: tuple[Callable[[Any], object], ...] = (
+    lambda env: run_episode(FakePolicy(), env, ALL, Ablation(), 0),
+    lambda env: record_episode(env, STREAMS, Driver(), 0),
+    lambda env: list(expert_decisions(env, STREAMS, 0, 0)),
+)
 
 
 def toy(**facts: Any) -> ToyReach:
@@ -96,10 +104,7 @@ def test_an_episode_that_never_ends_is_refused_at_its_horizon() -> None:
 
 
 def test_a_state_of_another_size_is_refused_at_the_first_step() -> None:
-    for play in (
-        lambda env: run_episode(FakePolicy(), env, ALL, Ablation(), 0),
-        lambda env: record_episode(env, STREAMS, Driver(), 0),
-    ):
+    for play in PLAYS:
         with pytest.raises(UserError, match=r"give 7 state numbers, .*found the shape \(6,\)"):
             play(toy(state_dim=7))
 
@@ -109,6 +114,47 @@ def test_a_picture_that_is_no_square_is_refused() -> None:
     for stream in ("first", "first.depth"):
         with pytest.raises(UserError, match="square picture of first, found 84 x 168"):
             stream_frame(wide, stream, ToyReach().spec)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda rgb: rgb.astype(np.float32) / 255, "uint8, found .84, 84, 3. float32"),
+        (lambda rgb: np.concatenate([rgb, rgb[..., :1]], -1), "found .84, 84, 4. uint8"),
+        (lambda rgb: None, "expected a View of first, found None"),
+    ],
+)
+def test_pictures_of_another_kind_are_refused(made: Callable[[Array], Any], said: str) -> None:
+    class Odd(ToyReach):
+        def view(self, camera: str, size: int | None = None) -> Any:
+            view = super().view(camera, size)
+            rgb = made(view.rgb)
+            object.__setattr__(view, "rgb", rgb)  # As nothing checks it outside of tests.
+            return None if rgb is None else view
+
+    for play in PLAYS:
+        with pytest.raises(UserError, match=said):
+            play(Odd())
+
+
+def test_a_state_that_is_no_number_is_refused_at_its_step() -> None:
+    class Odd(ToyReach):
+        def step(self, action: Array) -> TimeStep:
+            now = super().step(action)
+            return replace(now, state=now.state * np.float32("nan"))
+
+    for play in PLAYS:
+        with pytest.raises(UserError, match="toy/reach to give finite state numbers, found .nan"):
+            play(Odd())
+
+
+def test_an_expert_with_too_many_numbers_is_refused() -> None:
+    class Wide(ToyReach):
+        def expert(self) -> Array:
+            return np.zeros(5)
+
+    with pytest.raises(UserError, match="expected 2 finite numbers of the expert"):
+        record_episode(Wide(), STREAMS, Driver(), 0)
 
 
 def test_without_an_expert_there_are_mean_pictures_and_no_imitation(

@@ -107,6 +107,36 @@ def test_a_camera_that_is_not_looked_at_hardly_changes_the_action(bench: Path) -
     assert moment["place"] == moment["episode"]
 
 
+def test_a_policy_that_samples_is_judged_by_what_goes_beyond(bench: Path) -> None:
+    audit = audit_of(bench)
+    one = frozenset({audit.recordings.digest(0)})
+    audit = replace(audit, robot=replace(audit.robot, trained_on=one))  # 19 episodes are judged.
+    spec = audit.policy.spec
+
+    class Samples(Looks):
+        """Adds noise to ``share`` of what ``Looks`` answers."""
+
+        def __init__(self, share: float, spread: float) -> None:
+            super().__init__(spec, True)
+            self.share = share
+            self.spread = spread
+            self.rng = np.random.default_rng(0)
+
+        def read(self, encoded: Encoded, masks: Array) -> Readout:
+            read = super().read(encoded, masks)
+            noise = self.rng.normal(0, self.spread, read.action.shape)
+            return replace(read, action=(self.share * read.action + noise).astype(np.float32))
+
+    alone = recorded_audit(replace(audit, policy=Samples(0, 0.2)))
+    assert alone["repeats"]["mean"] > 0.1
+    assert alone["verdict"] == {"top": OPEN, "wrist": OPEN}, "noise is no use of a camera"
+    both = recorded_audit(replace(audit, policy=Samples(1, 0.1)))
+    assert both["verdict"] == {"top": CHANGES, "wrist": OPEN}
+    assert any(line.startswith("Asked the same twice, it answers ") for line in words_of(both))
+    assert recorded_audit(audit)["repeats"]["mean"] == 0
+    assert not any(line.startswith("Asked") for line in words_of(recorded_audit(audit)))
+
+
 def test_a_policy_that_cannot_drop_is_judged_by_the_mean_picture(bench: Path) -> None:
     found = recorded_audit(audit_of(bench, droppable=False))
     assert set(found["decided_by"].values()) == {"mean"}

@@ -23,7 +23,7 @@ from madviz.observation.ablation import Occlusion
 from madviz.policies.checkpoint import load_policy
 from madviz.policies.players import Reader
 from madviz.serving import serve
-from madviz.serving.episodes import ServedEpisodes
+from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.serving.serve import MOST_CLIENTS, PolicyServer, ServeConfig, run_serve
 from madviz.session.commands import Fork, Scrub, SetCamera
 from madviz.types import Encoded, Policy, TakesPictures
@@ -137,6 +137,10 @@ def look(**changed):
     picture = np.zeros((84, 84, 3), np.uint8)
     images = {name: picture for name in ("first", "third_a", "third_b")}
     return {"images": images, "state": np.zeros(6, np.float32), **changed}
+
+
+def _grey(picture: np.ndarray) -> np.ndarray:
+    return picture[..., 0]
 
 
 def test_single_frames_are_stacked_by_the_server_as_they_are_here():
@@ -295,10 +299,11 @@ def test_a_look_of_openpi_that_may_be_of_any_episode_is_refused(make, changed, s
         pytest.raises(UserError, _raise, str(socket.recv(5))).match(said)
 
 
-def test_a_picture_under_a_name_that_no_camera_has_is_refused():
+@pytest.mark.parametrize("as_sent", [np.asarray, np.ndarray.tolist, np.ndarray.tobytes, _grey])
+def test_a_picture_under_a_name_that_no_camera_has_is_refused(as_sent):
     with serving(FakePolicy()) as server, connect(server.address) as socket:
         socket.recv(5)
-        pictures = {"fisrt": np.zeros((84, 84, 3), np.uint8), **look()["images"]}
+        pictures = {"fisrt": as_sent(np.zeros((84, 84, 3), np.uint8)), **look()["images"]}
         del pictures["first"]
         socket.send(pack({**pictures, "state": np.zeros(6, np.float32), "episode": 1}, "openpi"))
         assert "expected pictures of first, third_a, third_b, found 'fisrt'" in str(socket.recv(5))
@@ -352,6 +357,38 @@ def test_a_camera_that_comes_back_has_no_black_frame_among_its_last_three():
         episodes.act(images, np.zeros(6))
         assert (policy.views == 255).all() == ("first" in images)
     assert policy.views.shape == (3, 9, 84, 84)
+
+
+def test_a_picture_that_is_none_is_a_camera_that_is_not_there():
+    policy = Seen()
+    episodes = ServedEpisodes(policy, 6)
+    present = []
+    policy.supports = lambda mask: bool(present.append(mask.tolist()) or True)
+    episodes.act({**look()["images"], "first": None}, np.zeros(6))
+    assert present[-1] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        look(state=np.full(6, np.nan)),
+        look(images={"first": np.zeros((84, 84, 3), np.uint8), "third_b": "x"}),
+    ],
+)
+def test_a_look_that_is_refused_leaves_nothing_behind(bad):
+    policy = Seen()
+    episodes = ServedEpisodes(policy, 6)
+    white = dict.fromkeys(policy.spec.streams, np.full((84, 84, 3), 255, np.uint8))
+    episodes.act(white, np.zeros(6))
+    with pytest.raises(BadLook):
+        episodes.act(bad["images"], bad["state"])
+    episodes.act(white, np.zeros(6))
+    assert (policy.views == 255).all()
+
+
+def test_a_state_that_is_no_number_is_named_with_its_place():
+    with pytest.raises(BadLook, match="found nan at place 2"):
+        ServedEpisodes(FakePolicy(), 6).act(look()["images"], [0, 0, np.nan, 0, 0, 0])
 
 
 def test_a_look_that_holds_all_frames_needs_no_episode():

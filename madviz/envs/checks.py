@@ -28,9 +28,15 @@ def check_action(action: Array, action_dim: int) -> None:
 
 
 def check_state(state: Array, spec: EnvSpec) -> None:
-    """Raises UserError unless ``state`` is (S,), as ``spec`` says; evaluation and demonstrations
-    call it at the first step."""
-    if np.shape(state) != (spec.state_dim,):
+    """Raises UserError unless ``state`` is (S,), as ``spec`` says, and finite; evaluation and
+    demonstrations call it at every step."""
+    if np.shape(state) == (spec.state_dim,):
+        if not np.isfinite(state).all():
+            raise UserError(
+                f"expected {spec.task} to give finite state numbers, found {np.asarray(state)}; "
+                "look for what it divides by, or for a simulation that has blown up"
+            )
+    else:
         raise UserError(
             f"expected {spec.task} to give {spec.state_dim} state numbers, as its spec says, found "
             f"the shape {np.shape(state)}; make the two alike"
@@ -49,7 +55,7 @@ def check_ends(spec: EnvSpec, decisions: int, last: bool) -> None:
 def expert_action(env: Environment) -> Array:
     """(A,): the decision of the task's expert. Raises UserError for a task that has none."""
     try:
-        return env.expert()
+        action = env.expert()
     except UserError:
         raise
     except Exception as error:  # A task of one's own may raise anything.
@@ -59,6 +65,12 @@ def expert_action(env: Environment) -> Array:
             f"({Path(where.filename).name}, line {where.lineno}); write or repair it, or train "
             "by rewards (--recipe paper)"
         ) from error
+    if np.shape(action) != (env.spec.action_dim,) or not np.isfinite(action).all():
+        raise UserError(
+            f"expected {env.spec.action_dim} finite numbers of the expert of {env.spec.task}, "
+            f"found {np.asarray(action).tolist()}; repair it, or the task's action_dim"
+        )
+    return action
 
 
 def largest_view(render_profile: str) -> int:

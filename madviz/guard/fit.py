@@ -37,12 +37,19 @@ class SeenEpisode:
     """By stream, one for each step."""
     states: Array
     """(T, S)."""
+    size: tuple[int, int]
+    """Rows and columns of every picture."""
 
 
 def seen_episode(pictures: Iterable[Mapping[str, Array]], states: Array) -> SeenEpisode:
     """One episode of its ``pictures`` by stream, one table for each step, and ``states`` (T, S).
-    Raises UserError where a step lacks a picture or a state of finite numbers."""
-    steps = [{name: sums_of(picture) for name, picture in step.items()} for step in pictures]
+    Raises UserError where a step lacks a picture or a state of finite numbers, and for pictures of
+    several sizes."""
+    steps: list[dict[str, PictureSums]] = []
+    sizes: set[tuple[int, int]] = set()
+    for step in pictures:
+        steps.append({name: sums_of(picture) for name, picture in step.items()})
+        sizes |= {picture.shape[:2] for picture in step.values()}
     states = np.asarray(states, np.float64)
     if states.ndim != 2 or len(states) != len(steps) or not np.isfinite(states).all():
         raise UserError(
@@ -52,7 +59,10 @@ def seen_episode(pictures: Iterable[Mapping[str, Array]], states: Array) -> Seen
     streams = list(steps[0]) if steps else []
     if not streams or any(step.keys() != set(streams) for step in steps):
         raise UserError("expected pictures of the same streams at every step, found others")
-    return SeenEpisode({name: tuple(step[name] for step in steps) for name in streams}, states)
+    if len(sizes) > 1:
+        raise UserError(f"expected pictures of one size, found {sorted(sizes)}; resize them")
+    sums = {name: tuple(step[name] for step in steps) for name in streams}
+    return SeenEpisode(sums, states, sizes.pop())
 
 
 def fit_values(
@@ -65,14 +75,16 @@ def fit_values(
 
     ``state``: the places in the state that say where the robot is, by default all. Pictures of
     ``blank_steps`` are left out. Raises UserError for fewer than four episodes, also of one stream,
-    for a place that the state does not have, and for a robot that never moved.
+    for episodes of other pictures, streams or states than the rest, for a place that the state does
+    not have, and for a robot that never moved.
     """
     if len(episodes) < FEWEST:
         raise UserError(f"expected {FEWEST} episodes or more to fit on, found {len(episodes)}")
+    _check_alike(episodes, size)
     numbers = episodes[0].states.shape[1]
-    places = state or tuple(range(numbers))
-    if max(places) >= numbers:
-        raise UserError(f"expected places in a state of {numbers} numbers, found {max(places)}")
+    places = tuple(map(int, state)) or tuple(range(numbers))
+    if wrong := [place for place in places if not 0 <= place < numbers]:
+        raise UserError(f"expected places in a state of {numbers} numbers, found {wrong[0]}")
     together = np.concatenate([episode.states[:, list(places)] for episode in episodes])
     deviation = together.std(0)
     moving = deviation > 1e-6
@@ -93,6 +105,25 @@ def fit_values(
         },
         seeds=seeds,
     )
+
+
+def _check_alike(episodes: list[SeenEpisode], size: tuple[int, int]) -> None:
+    """Raises UserError for an episode whose pictures have another size than ``size``, and for one
+    with other streams or another state than the first."""
+    first = episodes[0]
+    numbers = first.states.shape[1]
+    for place, one in enumerate(episodes):
+        if one.size != size:
+            raise UserError(
+                f"expected pictures of {size}, rows and columns, found {one.size} in episode "
+                f"{place}; resize them, or give their size"
+            )
+        if one.sums.keys() != first.sums.keys() or one.states.shape[1] != numbers:
+            raise UserError(
+                f"expected {', '.join(first.sums)} and {numbers} state numbers, as in episode 0, "
+                f"found {', '.join(one.sums)} and {one.states.shape[1]} in episode {place}; leave "
+                "it out"
+            )
 
 
 def blank_steps(

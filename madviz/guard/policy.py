@@ -48,6 +48,8 @@ class _Seen:
 
     views: Array
     """(V, C, H, W)."""
+    state: Array
+    """(S,) as it was given; ``Encoded.state`` may be the policy's own form of it."""
     private: Any
     """The private part of the guarded policy."""
 
@@ -94,9 +96,9 @@ class GuardedPolicy:
         self.spec = replace(policy.spec, name=policy.spec.name + SUFFIX, digest=digest)
 
     def encode(self, views: Array, state: Array) -> Encoded:
-        """As the policy does; the pictures are kept for the guard."""
+        """As the policy does; pictures and state are kept for the guard."""
         encoded = self.inner.encode(views, state)
-        return replace(encoded, private=_Seen(views, encoded.private))
+        return replace(encoded, private=_Seen(views, state, encoded.private))
 
     def read(self, encoded: Encoded, masks: Array) -> Readout:
         """As the policy does, on the subsets that are asked for: the guard changes nothing here."""
@@ -201,7 +203,7 @@ class GuardedPlayer:
             for index, stream in enumerate(streams)
             if mask[index]
         }
-        report = GuardReport(guard.step(pictures, encoded.state), mask, guard.now - 1)
+        report = GuardReport(guard.step(pictures, encoded.private.state), mask, guard.now - 1)
         failed = report.failed
         if not failed:
             return report, encoded
@@ -251,7 +253,7 @@ class GuardedPlayer:
         note = f"{name} cannot leave out {_list(needed)}: the last good picture stands in"
         if missing:
             note += f"; {_list(missing)} has none and is used as it comes"
-        return self._policy.encode(views, encoded.state), note
+        return self._policy.encode(views, encoded.private.state), note
 
 
 def guard_note(policy: Policy) -> str:

@@ -127,11 +127,21 @@ def run_compare(config: CompareConfig) -> CompareFile | ConditionsFile:
 def compare_policies(config: CompareConfig) -> CompareFile:
     """Compares policies by their measured episodes. One whose files are broken is named and left
     out, unless it is the first. Raises UserError for policies that cannot be compared."""
-    if config.guard:
-        raise UserError("expected --conditions beside --guard, found none; add them")
+    usual = CompareConfig(config.policies)
+    for name in ("guard", "wire", "trust", "episodes", "seed", "workers"):
+        if getattr(config, name) != getattr(usual, name):
+            raise UserError(
+                f"expected --conditions beside --{name}, found none; add them, or leave it out: "
+                "policies are compared on episodes that were played before"
+            )
     if len(config.policies) < 2:
         raise UserError(f"expected two or more policies, found {len(config.policies)}")
     _check_files(config)
+    if own := [name for name in config.policies if not checkpoint.is_folder(name)]:
+        raise UserError(
+            f"expected policies with measured episodes in a folder, found {own[0]!r:.100}, which "
+            "has none; compare its --conditions"
+        )
     folders = [checkpoint.find_policy(name) for name in config.policies]
     policies, broken = readable(folders)
     if len(policies) < 2 or policies[0].path != folders[0]:

@@ -135,6 +135,7 @@ def run_episode(
             outside += numbers_outside(action)
             watch(env, stack, encoded, action)
             now = env.step(action)
+            check_state(now.state, env.spec)
             total += float(now.reward)
             success_any |= bool(now.success)
             decision += 1

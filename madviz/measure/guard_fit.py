@@ -26,7 +26,7 @@ from madviz.guard.fit import (
     seen_episode,
 )
 from madviz.guard.policy import GuardedPolicy
-from madviz.guard.values import FILE, write_values
+from madviz.guard.values import FILE, read_values, write_values
 from madviz.measure.episodes import one_thread
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
@@ -76,6 +76,7 @@ class FittedFile(TypedDict):
     file: str
     bytes: int
     seeds: list[int]
+    """Of the episodes; of recordings, their numbers in the dataset."""
     late: dict[str, bool]
     """By stream: True where the robot's movements alone show that a picture is late."""
     blind: list[str]
@@ -95,6 +96,7 @@ def run_guard(config: GuardConfig) -> FittedFile:
         raise UserError(f"expected --out FILE for {reference!r:.100}, which has no folder; add it")
     out = config.out or checkpoint.find_policy(reference) / FILE
     written_to(out, "--out")
+    _check_places(out, config)
     policy = checkpoint.load_policy(reference)
     spec = policy.spec
     if recorded not in (None, spec.task):
@@ -105,9 +107,13 @@ def run_guard(config: GuardConfig) -> FittedFile:
     left_out: list[str] = []
     if is_recording(spec.task):
         robot = checkpoint.robot_of_policy(reference)
-        seeds, left_out = training_places(recordings_of(spec.task), robot, spec, config.episodes)
+        recordings = recordings_of(spec.task)
+        seeds, faults = training_places(recordings, robot, spec, config.episodes)
+        left_out = list(dict.fromkeys([*recordings.left_out, *faults]))
+        named = tuple(recordings.episodes[place].index for place in seeds)
     else:
         seeds = tuple(seeds_from(FIRST_SEED, config.episodes))
+        named = seeds
     with closing(make_env(spec.task, spec.render_profile, spec.cameras)) as env, one_thread():
         check_environment(spec, env.spec)
         episodes = [
@@ -116,17 +122,17 @@ def run_guard(config: GuardConfig) -> FittedFile:
         ]
         places = env.spec.state_numbers.robot
     size = (spec.image_size, spec.image_size)
-    values = fit_values(episodes, size, places, tuple(seeds))
+    values = fit_values(episodes, size, places, named)
     write_values(out, values)
     return {
         "schema": 1,
         "policy": spec.name,
         "file": str(out),
         "bytes": out.stat().st_size,
-        "seeds": list(seeds),
+        "seeds": list(named),
         "late": {name: bool(stream.numbers) for name, stream in values.streams.items()},
         "blind": blind_streams(episodes, size),
-        "left_out": [*left_out, *_blank_words(blank_steps(episodes, size), seeds)],
+        "left_out": [*left_out, *_blank_words(blank_steps(episodes, size), named)],
     }
 
 
@@ -156,6 +162,21 @@ def training_places(
             f"on, found {found}; name the recordings that it learned from"
         )
     return tuple(places), faults
+
+
+def _check_places(out: Path, config: GuardConfig) -> None:
+    """Raises UserError where --json would replace the values at ``out``, and where --out would
+    replace a file that holds none."""
+    if config.json is not None and Path(config.json).resolve() == out.resolve():
+        raise UserError(f"expected --json beside the values, found both at {out}; name another")
+    if config.out is not None and out.is_file() and out.stat().st_size:
+        try:
+            read_values(out, "see docs/guard.md")
+        except UserError as error:
+            raise UserError(
+                f"expected --out for values of a guard, found another file in {out}; name another, "
+                "or remove it first"
+            ) from error
 
 
 def _blank_words(blank: dict[str, list[tuple[int, int]]], seeds: tuple[int, ...]) -> list[str]:

@@ -35,13 +35,22 @@ def no_mean_pictures() -> MeanPictures:
     raise UserError("expected mean pictures of the cameras, found none here; choose black or noise")
 
 
-def stream_frame(view: View, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) -> Array:
+def stream_frame(view: View | None, stream: str, env: EnvSpec, size: int = IMAGE_SIZE) -> Array:
     """The part of its camera's view that ``stream`` takes: (H, W, 3) colour or (H, W, 1) coded
-    depth, H and W being ``size``."""
+    depth, H and W being ``size``. Raises UserError for a view that a task may not give."""
+    if view is None:
+        raise UserError(
+            f"expected a View of {camera_of(stream)}, found None; let {env.task} draw it"
+        )
     if modality_of(stream) == "depth":
         frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
     else:
         frame = view.rgb
+        if frame.dtype != np.uint8 or frame.shape[2:] != (3,):
+            raise UserError(
+                f"expected rgb of {camera_of(stream)} as (H, W, 3) uint8, found {frame.shape} "
+                f"{frame.dtype}; let {env.task} give 0 to 255"
+            )
     if frame.shape[0] != frame.shape[1]:
         raise UserError(
             f"expected a square picture of {camera_of(stream)}, found {frame.shape[0]} x "
@@ -92,9 +101,11 @@ class StreamStack:
         the stack is filled with the first frame."""
         seen = {}
         for stream in self.streams:
-            view = views.get(camera_of(stream))
+            camera = camera_of(stream)
             black = np.zeros((self.size, self.size, channels_of(stream)), np.uint8)
-            seen[stream] = stream_frame(view, stream, self.env, self.size) if view else black
+            seen[stream] = black
+            if camera in views:
+                seen[stream] = stream_frame(views[camera], stream, self.env, self.size)
         if step == 0:
             self._frames = []
             self._seen = []

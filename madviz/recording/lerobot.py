@@ -36,7 +36,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from madviz.envs.checks import expert_action
+from madviz.envs.checks import check_state, expert_action
 from madviz.errors import UserError
 from madviz.guard.policy import GuardedPlayer
 from madviz.measure.mean_picture import stack_of
@@ -93,6 +93,7 @@ def expert_decisions(
         stack.push({one.name: env.view(one.name) for one in env.spec.cameras}, intact, seed, step)
         pictures = stack.newest
         state = now.state
+        check_state(state, env.spec)
         action = expert_action(env)
         now = env.step(np.clip(action + next(pushed), -1, 1).astype(np.float32))
         yield Decision(pictures, everything, state, action, now.reward, now.success)
@@ -123,6 +124,7 @@ def policy_decisions(
             stack.push({name: env.view(name) for name in names}, ablation, seed, step)
             pictures = stack.newest
             state = now.state
+            check_state(state, env.spec)
             action = player.act(policy.encode(stack.views, state), mask)
             given = player.report.mask if isinstance(player, GuardedPlayer) else mask
             now = env.step(action)

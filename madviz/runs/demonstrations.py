@@ -132,6 +132,7 @@ def record_episode(
         rows["states"].append(now.state)
         rows["places"].append(env.places() if isinstance(env, KnowsPlaces) else ())
         now = env.step(action)
+        check_state(now.state, env.spec)
         for key, value in (("actions", action), ("labels", label), ("rewards", now.reward)):
             rows[key].append(value)
     arrays = {key: np.asarray(value, np.float32) for key, value in rows.items()}

@@ -61,7 +61,7 @@ def _episode(recordings: Recordings, robot: Robot, size: int) -> tuple[int, str,
     one before it that cannot be decoded. Raises UserError if none can."""
     unseen = robot.unseen(recordings)
     others = (one.index for one in reversed(recordings.episodes) if one.index not in unseen)
-    faults: list[str] = []
+    faults = list(recordings.left_out)
     for episode in (*unseen, *others):
         if fault := recordings.fault(episode, size):
             faults.append(fault)

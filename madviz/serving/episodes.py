@@ -3,7 +3,8 @@
 A look holds the pictures of one step by stream, the state, and nothing of the past. Whoever sends
 one frame of a camera, (H, W, 3), leaves the stack to the server; whoever sends all of them,
 (H, W, 3 x frames), asks about that look alone, and gets the answer an episode in one process gives,
-to the bit. A stream that is not sent is dropped.
+to the bit. A stream that is not sent, or sent as nothing (None), is dropped. A look that is refused
+leaves nothing behind.
 
 The frames of an episode, and the rest of its chunk, must not reach the next one. vla-eval says
 when an episode begins and ends. openpi has no word for it, so its clients send ``episode``, a
@@ -101,18 +102,20 @@ class ServedEpisodes:
             raise BadLook(
                 f"expected pictures of {', '.join(self._spec.streams)}, found {unknown[0]!r:.60}"
             )
-        mask = np.array([stream in images for stream in self._spec.streams])
+        streams = self._spec.streams
+        sent = {stream: images[stream] for stream in streams if images.get(stream) is not None}
+        mask = np.array([stream in sent for stream in streams])
         if not self._policy.supports(mask):
-            raise BadLook(
-                f"{self._spec.name} cannot act on {name_of(mask, self._spec.streams)!r}; send more"
-            )
+            raise BadLook(f"{self._spec.name} cannot act on {name_of(mask, streams)!r}; send more")
+        square = (self._spec.image_size, self._spec.image_size)
+        shapes = self._policy.shapes if isinstance(self._policy, TakesPictures) else {}
+        pictures = {s: self._picture(s, sent[s], shapes.get(s, square)) for s in sent}
+        numbers = self._state(state)
         if isinstance(self._policy, TakesPictures):
-            shapes = self._policy.shapes
-            pictures = {s: self._picture(s, images[s], shapes[s]) for s in images}  # (H, W, 3)
-            encoded = self._policy.encode_pictures(pictures, self._state(state))
+            encoded = self._policy.encode_pictures(pictures, numbers)
         else:
-            stacks = [self._stack(stream, images.get(stream)) for stream in self._spec.streams]
-            encoded = self._policy.encode(np.stack(stacks), self._state(state))
+            stacks = [self._stack(stream, pictures.get(stream)) for stream in streams]
+            encoded = self._policy.encode(np.stack(stacks), numbers)
         action = np.asarray(self._player.act(encoded, mask), np.float32)
         check_action(action, self._action_dim)
         return self._robot.actions.unscale(action) if self._robot else action
@@ -129,15 +132,15 @@ class ServedEpisodes:
             self._player.close()
         self._player = None
 
-    def _stack(self, stream: str, picture: Any) -> Array:
-        """(3 x frames, H, W) uint8, the oldest frame first; black where nothing was sent. After a
-        gap it begins anew, as an episode does."""
+    def _stack(self, stream: str, picture: Array | None) -> Array:
+        """(3 x frames, H, W) uint8 of a ``picture`` (H, W, C), the oldest frame first; black where
+        nothing was sent. After a gap it begins anew, as an episode does."""
         size = self._spec.image_size
         frames = self._spec.frame_stack
         if picture is None:
             self._frames.pop(stream, None)
             return np.zeros((3 * frames, size, size), np.uint8)
-        newest = self._picture(stream, picture, (size, size)).transpose(2, 0, 1)
+        newest = picture.transpose(2, 0, 1)
         if len(newest) == 3 * frames:
             past = [newest]
         else:
@@ -185,8 +188,17 @@ class ServedEpisodes:
             found = np.asarray(state, np.float32)
         except (TypeError, ValueError):
             found = np.zeros((0, 0), np.float32)
-        if found.shape != (count,) or not np.isfinite(found).all():
-            raise BadLook(f"expected {count} finite numbers as the state, found {np.shape(state)}")
+        if found.shape != (count,):
+            raise BadLook(
+                f"expected {count} finite numbers as the state, found {np.shape(state)}; send "
+                f"those of {self._spec.task}"
+            )
+        if not (finite := np.isfinite(found)).all():
+            place = int(np.argmin(finite))
+            raise BadLook(
+                f"expected {count} finite numbers as the state, found {found[place]} at place "
+                f"{place}; send the look again when it can be read"
+            )
         return self._robot.states.scale(found) if self._robot else found
 
 

@@ -243,8 +243,13 @@ class PolicyServer:
 
     def _shows(self, name: str | int, value: Any) -> bool:
         """True for what a client means as a picture, also under a name that no camera has."""
+        one = value
+        for _ in range(2):  # A picture that was packed as lists is one of rows of pixels.
+            one = one[0] if isinstance(one, list) and one else None
+        packed = isinstance(value, bytes) or isinstance(one, list)
+        flat = isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype == np.uint8
         deep = isinstance(value, np.ndarray) and value.ndim >= 3
-        return deep or name in self._policy.spec.streams
+        return packed or flat or deep or name in self._policy.spec.streams
 
     def _greeting(self) -> dict[str, Any]:
         numbers = {"name": "actions", "dims": self._action_dim, "format": "raw"}

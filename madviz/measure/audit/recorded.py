@@ -71,7 +71,7 @@ class RecordedRow(TypedDict):
     what: What
     how: How
     change: DistanceRow
-    """From the action with all cameras."""
+    """From the action with all cameras, beyond what two answers to the same look differ by."""
     further: DistanceRow
     """Its distance from the recorded action, less that with all cameras."""
     most: str
@@ -112,6 +112,8 @@ class RecordedAuditFile(TypedDict):
     """Answers for each condition."""
     apart: DistanceRow
     """From the recorded action, with all cameras."""
+    repeats: DistanceRow
+    """Between two answers to the same look with all cameras: 0, but for a policy that samples."""
     conditions: list[RecordedRow]
     verdict: dict[str, str]
     decided_by: dict[str, How]
@@ -149,7 +151,8 @@ class RecordedAudit:
         return [*unseen, *(index for index in known if index not in unseen)][:most]
 
     def answers(self, index: int, steps: Array, means: MeanPictures) -> Array:
-        """(N, T', A) scaled actions under each of ``conditions`` at ``steps`` of an episode."""
+        """(N + 1, T', A) scaled actions at ``steps`` of an episode, under each of ``conditions``.
+        The last row is with all cameras once more."""
         spec = self.policy.spec
         names = [camera.name for camera in self.recordings.cameras]
         frames = self.recordings.frames(index, spec.image_size)  # (T, V, H, W, 3)
@@ -157,18 +160,19 @@ class RecordedAudit:
         states = self.robot.states.scale(raw)
         task = next(one.task for one in self.recordings.episodes if one.index == index)
         groups: dict[object, list[int]] = defaultdict(list)
-        for row, condition in enumerate(self.conditions):
+        asked = [*self.conditions, INTACT]
+        for row, condition in enumerate(asked):
             groups[condition.occlusions].append(row)
         width = len(self.robot.action_names)
-        actions = np.zeros((len(self.conditions), len(steps), width), np.float32)
+        actions = np.zeros((len(asked), len(steps), width), np.float32)
         place = {int(step): number for number, step in enumerate(steps)}
         depth = np.ones(frames.shape[2:4], np.float32)  # Nothing looks at it.
         for rows in groups.values():
             stack = StreamStack(
                 self.env, spec.streams, spec.frame_stack, spec.image_size, lambda: means
             )
-            ablation = self.conditions[rows[0]].ablation(spec.streams)
-            masks = np.stack([self.conditions[row].mask(spec.streams) for row in rows])  # (N', V)
+            ablation = asked[rows[0]].ablation(spec.streams)
+            masks = np.stack([asked[row].mask(spec.streams) for row in rows])  # (N', V)
             for step in range(int(steps[-1]) + 1):
                 pictures = np.array(frames[step])
                 views = {name: View(pictures[names.index(name)], depth) for name in spec.streams}
@@ -188,6 +192,8 @@ class _Answered:
     """(T',)."""
     change: Array
     """(N, T') from the action with all cameras."""
+    repeats: float
+    """The distance between two actions with all cameras, on average over the steps."""
     numbers: Array
     """(N, A): likewise, of each number, on average over the steps."""
     errors: Array
@@ -214,15 +220,17 @@ def recorded_audit(
         steps = np.unique(np.linspace(0, len(recorded) - 1, STEPS).round().astype(int))
         try:
             with one_thread():
-                actions = audit.answers(index, steps, means)  # (N, T', A)
-            if not np.isfinite(actions).all():
+                asked = audit.answers(index, steps, means)  # (N + 1, T', A)
+            if not np.isfinite(asked).all():
                 raise UserError("expected finite actions, found others; see madviz serve --check")
         except UserError as error:
             left_out.append(f"episode {index}: {error}")
             continue
+        actions, again = asked[:-1], asked[-1]
         answered[index] = _Answered(
             steps,
             audit.robot.distance(actions, actions[:1]),
+            float(audit.robot.distance(again, actions[0]).mean()),
             each_apart(actions, actions[:1], audit.robot.scaled_spread).mean(axis=1),
             audit.robot.distance(actions, recorded[steps]).mean(axis=1),
         )
@@ -242,7 +250,8 @@ def _document(
     unseen = robot.unseen(audit.recordings)
     judged = [index for index in answered if index in unseen]
     episodes = [answered[index] for index in judged or answered]
-    changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1)  # (N, E)
+    repeats = np.array([one.repeats for one in episodes])  # (E,)
+    changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1) - repeats  # (N, E)
     errors = np.stack([one.errors for one in episodes], axis=1)  # (N, E)
     numbers = np.mean([one.numbers for one in episodes], axis=0)  # (N, A)
 
@@ -261,6 +270,7 @@ def _document(
 
     deciding = {name: audit.cameras.deciding(name).removed for name in audit.cameras.names}
     removed = {name: distance_row(changes[place[one.condition]]) for name, one in deciding.items()}
+    verdicts = {name: verdict(change, repeats.mean()) for name, change in removed.items()}
     return {
         "schema": 1,
         "label": LABEL,
@@ -275,8 +285,9 @@ def _document(
         "training_known": bool(robot.trained_on),
         "steps": sum(len(one.steps) for one in answered.values()),
         "apart": distance_row(errors[0]),
+        "repeats": distance_row(repeats),
         "conditions": [row(one) for one in audit.cameras.rows()],
-        "verdict": {name: verdict(change) if judged else OPEN for name, change in removed.items()},
+        "verdict": verdicts if judged else dict.fromkeys(verdicts, OPEN),
         "decided_by": {name: one.how for name, one in deciding.items()},
         "moments": _moments(audit, answered),
         "left_out": left_out,
@@ -313,9 +324,12 @@ def distance_row(values: Sequence[float] | Array) -> DistanceRow:
     return {"mean": float(values.mean()), "ci95": list(t_interval(values))}
 
 
-def verdict(change: DistanceRow) -> str:
-    """The words for a camera, by the change without it."""
+def verdict(change: DistanceRow, repeats: float = 0) -> str:
+    """The words for a camera, by the change without it. Where two answers to the same look are
+    ``repeats`` apart, a smaller change does not show."""
     if change["ci95"] is None:
         return OPEN
     low, high = change["ci95"]
-    return CHANGES if low > HARDLY else STAYS if high < HARDLY else OPEN
+    if low > HARDLY:
+        return CHANGES
+    return STAYS if max(high, repeats) < HARDLY else OPEN

@@ -18,6 +18,8 @@ from madviz.measure.blocks import Block, ending
 
 FEW = 10
 """Episodes; intervals of fewer are coarse."""
+SAME = 0.005
+"""Spreads; two answers that are less apart are the same."""
 HOW_TO_READ = (
     "Distances are in spreads: the root mean square, over the numbers of an action, of how far two "
     "actions are apart in standard deviations of the recorded ones.",
@@ -40,6 +42,11 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
         f"{found['policy']} is {_distance(found['apart'])} spreads from the recorded action with "
         "all cameras."
     ]
+    if found["repeats"]["mean"] > SAME:
+        lines.append(
+            f"Asked the same twice, it answers {_distance(found['repeats'])} spreads apart: it "
+            "samples. A change is what goes beyond that."
+        )
     for name, words in found["verdict"].items():
         how = found["decided_by"][name]
         row = _row(found, name, how)
