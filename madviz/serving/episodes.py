@@ -122,8 +122,13 @@ class ServedEpisodes:
 
     @property
     def note(self) -> str:
-        """A guard's sentence on the cameras that failed at the last answer; '' where none did."""
-        return self._player.report.note if isinstance(self._player, GuardedPlayer) else ""
+        """A guard's sentence on the cameras that failed at the last answer, and why; '' where none
+        did."""
+        if not isinstance(self._player, GuardedPlayer):
+            return ""
+        report = self._player.report
+        whys = [f"{one}: {report.verdict(one).why}" for one in sorted(report.failed)]
+        return f"{report.note} ({'; '.join(whys)})" if whys else ""
 
     def close(self) -> None:
         """The episode is over, or the connection is gone."""

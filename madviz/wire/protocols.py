@@ -33,6 +33,10 @@ VERSION = 1
 """The version of vla-eval's protocol."""
 
 
+REFUSED = "look at the server, and at the file of --wire"
+"""The move where a server answers, but with no action: the look may be wrong."""
+
+
 class VlaEval:
     """See the module. Both protocols are spoken on a connection that is open."""
 
@@ -70,9 +74,8 @@ class VlaEval:
             move = 'if it speaks another protocol, say so: protocol = "openpi" in --wire'
             raise connection.wrong(expected, _kind(found), move)
         if found.get("type") == "error":
-            raise connection.wrong(
-                expected, f"the error {str(payload.get('error', payload))!r:.200}"
-            )
+            said = f"the error {str(payload.get('error', payload))!r:.200}"
+            raise connection.wrong(expected, said, REFUSED)
         if found.get("type") != kind:
             raise connection.wrong(
                 expected, f"a message of the type {str(found.get('type'))!r:.40}"
@@ -108,7 +111,7 @@ class OpenPi:
         connection.tell(message, self.name)
         found = connection.hear("an action")
         if not isinstance(found, dict):
-            raise connection.wrong("an action", _kind(found))
+            raise connection.wrong("an action", _kind(found), REFUSED)
         return found
 
 
