@@ -9,7 +9,7 @@ from traceback import extract_tb
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.types import Array, CameraSpec, Environment, EnvSpec
+from madviz.types import Array, CameraSpec, Environment, EnvSpec, TimeStep
 
 MAX_SIZE = 512
 """The largest view in pixels; policies and the page need no more."""
@@ -43,9 +43,11 @@ def check_state(state: Array, spec: EnvSpec) -> None:
         )
 
 
-def check_ends(spec: EnvSpec, decisions: int, last: bool) -> None:
-    """Raises UserError for an episode that goes on after the ``decisions`` that it may have."""
-    if decisions >= spec.horizon and not last:
+def check_step(spec: EnvSpec, decisions: int, now: TimeStep) -> None:
+    """``check_state``. Raises UserError, too, for an episode that goes on after the ``decisions``
+    that it may have."""
+    check_state(now.state, spec)
+    if decisions >= spec.horizon and not now.last:
         raise UserError(
             f"expected {spec.task} to say last=True after its {spec.horizon} decisions, found an "
             "episode that goes on; make its step and its horizon agree"

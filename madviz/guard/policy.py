@@ -96,7 +96,7 @@ class GuardedPolicy:
         self.spec = replace(policy.spec, name=policy.spec.name + SUFFIX, digest=digest)
 
     def encode(self, views: Array, state: Array) -> Encoded:
-        """As the policy does; pictures and state are kept for the guard."""
+        """The guard keeps pictures and state; else it is what the policy does."""
         encoded = self.inner.encode(views, state)
         return replace(encoded, private=_Seen(views, state, encoded.private))
 

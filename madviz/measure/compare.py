@@ -22,24 +22,18 @@ from typing import NotRequired, TypedDict
 
 from madviz.errors import UserError
 from madviz.measure.compare_conditions import ConditionsFile, compare_conditions, conditions_table
+from madviz.measure.compare_figures import bars, curves
 from madviz.measure.compare_page import write_comparison
 from madviz.measure.episodes import FIRST_SEED, clipped_words
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
-from madviz.measure.formulas import student
-from madviz.measure.statistics import (
-    PairedRow,
-    interval_over_trainings,
-    mean_interval,
-    pair,
-)
+from madviz.measure.statistics import PairedRow, pair
 from madviz.measure.store import EpisodeResult, ResultKey, Store
-from madviz.plots import figures
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.listing import BrokenRow
 from madviz.policies.sb3 import trust
 from madviz.subsets import mask_of, name_of
-from madviz.system.files import read_rows, write_bytes, written_to
+from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
 from madviz.wire.reference import with_wire
 
@@ -127,21 +121,7 @@ def run_compare(config: CompareConfig) -> CompareFile | ConditionsFile:
 def compare_policies(config: CompareConfig) -> CompareFile:
     """Compares policies by their measured episodes. One whose files are broken is named and left
     out, unless it is the first. Raises UserError for policies that cannot be compared."""
-    usual = CompareConfig(config.policies)
-    for name in ("guard", "wire", "trust", "episodes", "seed", "workers"):
-        if getattr(config, name) != getattr(usual, name):
-            raise UserError(
-                f"expected --conditions beside --{name}, found none; add them, or leave it out: "
-                "policies are compared on episodes that were played before"
-            )
-    if len(config.policies) < 2:
-        raise UserError(f"expected two or more policies, found {len(config.policies)}")
-    _check_files(config)
-    if own := [name for name in config.policies if not checkpoint.is_folder(name)]:
-        raise UserError(
-            f"expected policies with measured episodes in a folder, found {own[0]!r:.100}, which "
-            "has none; compare its --conditions"
-        )
+    _check_options(config)
     folders = [checkpoint.find_policy(name) for name in config.policies]
     policies, broken = readable(folders)
     if len(policies) < 2 or policies[0].path != folders[0]:
@@ -158,9 +138,7 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         for other, outcomes in zip(policies, rows, strict=True):
             _same_seeds(name, first, rows[0], other, outcomes)
     if config.figure is not None:
-        title = f"{first.config.task}: success by subset"
-        bars = figures.bars(title, list(table), _bars(policies, table))
-        write_bytes(config.figure, bars.encode())
+        write_bytes(config.figure, bars(policies, table).encode())
     if config.curves is not None:
         write_bytes(config.curves, curves(policies).encode())
     found: CompareFile = {
@@ -191,6 +169,25 @@ def compare_policies(config: CompareConfig) -> CompareFile:
         title = f"{found['task']}: policies compared"
         write_comparison(config.page, title, comparison_table(found), policies, table)
     return found
+
+
+def _check_options(config: CompareConfig) -> None:
+    """Raises UserError for what is about conditions, and for policies without episodes."""
+    usual = CompareConfig(config.policies)
+    for name in ("guard", "wire", "trust", "episodes", "seed", "workers"):
+        if getattr(config, name) != getattr(usual, name):
+            raise UserError(
+                f"expected --conditions beside --{name}, found none; add them, or leave it out: "
+                "policies are compared on episodes that were played before"
+            )
+    if len(config.policies) < 2:
+        raise UserError(f"expected two or more policies, found {len(config.policies)}")
+    _check_files(config)
+    if own := [name for name in config.policies if not checkpoint.is_folder(name)]:
+        raise UserError(
+            f"expected policies with measured episodes in a folder, found {own[0]!r:.100}, which "
+            "has none; compare its --conditions"
+        )
 
 
 def _check_files(config: CompareConfig) -> None:
@@ -313,80 +310,6 @@ def _stored(store: Store, evidence: Evidence, subset: str) -> dict[int, EpisodeR
         return {}  # A camera that this policy does not have.
     facts = (config.task, config.definition, config.render_profile, "", name)
     return store.results(ResultKey(digest, *facts))
-
-
-# --- Figures --------------------------------------------------------------------------------
-
-
-def _label(evidence: Evidence) -> str:
-    config = evidence.config
-    facts = [config.setting, *([config.camera] if config.camera else []), config.recipe]
-    facts += [] if evidence.alpha is None else [f"alpha {evidence.alpha:g}"]
-    return f"{evidence.method} ({', '.join(facts)})"
-
-
-def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:
-    """Places in ``found`` of every method's trainings."""
-    groups: dict[str, list[int]] = {}
-    for index, evidence in enumerate(found):
-        groups.setdefault(_label(evidence), []).append(index)
-    return groups
-
-
-def _bars(
-    found: Sequence[Evidence], table: dict[str, list[Outcomes]]
-) -> dict[str, list[figures.Bar | None]]:
-    series: dict[str, list[figures.Bar | None]] = {}
-    for label, places in _grouped(found).items():
-        series[label] = []
-        for rows in table.values():
-            trainings = [[float(rows[i][seed]) for seed in sorted(rows[i])] for i in places]
-            rates = [sum(each) / len(each) for each in trainings]
-            shares = [sum(scene) / len(scene) for scene in zip(*trainings, strict=True)]
-            ends = mean_interval(shares, len(trainings))
-            if len(trainings) > 1:
-                ends = interval_over_trainings([trainings], ends)
-            dots = tuple(rates) if len(rates) > 1 else ()
-            series[label].append(figures.Bar(sum(rates) / len(rates), *ends, dots))
-    return series
-
-
-def curves(found: Sequence[Evidence]) -> str:
-    """The paper's figure as SVG: all, each single and their average against environment steps.
-
-    Raises UserError for a policy whose curve.csv has no success by subset.
-    """
-    panels: dict[str, dict[str, figures.Line]] = {}
-    for label, places in _grouped(found).items():
-        tables = [_curve(found[index]) for index in places]
-        common = sorted(set.intersection(*(set(table) for table in tables)))
-        names = list(tables[0][common[0]]) if common else []
-        for name in names:
-            line = [[table[step].get(name, 0.0) for table in tables] for step in common]
-            means = [sum(rates) / len(rates) for rates in line]
-            ends = [student([[[rate] for rate in rates]]) for rates in line]
-            lows = [low for low, _ in ends]
-            highs = [high for _, high in ends]
-            panels.setdefault(name, {})[label] = figures.Line(common, means, lows, highs)
-    return figures.lines(f"{found[0].config.task}: success while training", "steps", panels)
-
-
-def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
-    """Success by subset, and on average, at every environment step that was measured."""
-    file = evidence.path / "curve.csv"
-    table = {}
-    for row in read_rows(file):
-        rates = {
-            k.removeprefix("success_"): float(v) for k, v in row.items() if k.startswith("success_")
-        }
-        if "env_steps" in row and rates:
-            table[float(row["env_steps"])] = {**rates, "average": sum(rates.values()) / len(rates)}
-    if not table:
-        raise UserError(
-            f"{file}: expected success by subset against environment steps, found none; only the "
-            "recipe `paper` measures it while it trains: leave --curves out"
-        )
-    return table
 
 
 def comparison_table(result: CompareFile | ConditionsFile) -> str:

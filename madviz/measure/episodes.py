@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.checks import check_ends, check_state
+from madviz.envs.checks import check_state, check_step
 from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
@@ -135,11 +135,10 @@ def run_episode(
             outside += numbers_outside(action)
             watch(env, stack, encoded, action)
             now = env.step(action)
-            check_state(now.state, env.spec)
             total += float(now.reward)
             success_any |= bool(now.success)
             decision += 1
-            check_ends(env.spec, decision, now.last)
+            check_step(env.spec, decision, now)
         outside += getattr(player, "outside", 0)  # A player that clips has counted before.
     share = outside / max(decision * env.spec.action_dim, 1)
     ended = (bool(now.success), success_any, total, share, getattr(player, "noticed", None))

@@ -76,7 +76,7 @@ class FittedFile(TypedDict):
     file: str
     bytes: int
     seeds: list[int]
-    """Of the episodes; of recordings, their numbers in the dataset."""
+    """The seeds of the episodes; recordings have their numbers in the dataset here."""
     late: dict[str, bool]
     """By stream: True where the robot's movements alone show that a picture is late."""
     blind: list[str]

@@ -226,11 +226,11 @@ def recorded_audit(
         except UserError as error:
             left_out.append(f"episode {index}: {error}")
             continue
-        actions, again = asked[:-1], asked[-1]
+        actions = asked[:-1]
         answered[index] = _Answered(
             steps,
             audit.robot.distance(actions, actions[:1]),
-            float(audit.robot.distance(again, actions[0]).mean()),
+            float(audit.robot.distance(asked[-1], actions[0]).mean()),
             each_apart(actions, actions[:1], audit.robot.scaled_spread).mean(axis=1),
             audit.robot.distance(actions, recorded[steps]).mean(axis=1),
         )
