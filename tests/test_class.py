@@ -123,11 +123,13 @@ def test_the_launcher_sends_a_browser_to_the_page_with_its_token(
 def test_a_password_is_kept_where_a_later_account_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given = []
+    given, gone = [], []
 
     def run(command: str, *words: str, input: str = "", text: bool = True) -> None:
-        if "student03" in words:
-            raise OSError("no more accounts")
+        if command == "userdel":
+            gone.append(words[-1])
+        if input.startswith("student03"):
+            raise OSError("no more passwords")
         if input:
             given.append(input.strip().replace(":", ","))
 
@@ -135,7 +137,7 @@ def test_a_password_is_kept_where_a_later_account_fails(
     passwords = tmp_path / "passwords.csv"
     with pytest.raises(OSError, match="no more"):
         SERVER["students"](["student01", "student02", "student03"], passwords)
-    assert len(given) == 2 and passwords.read_text().splitlines() == given
+    assert gone == ["student03"] and len(given) == 2 and passwords.read_text().splitlines() == given
     assert passwords.stat().st_mode & 0o077 == 0
 
 

@@ -69,6 +69,9 @@ def test_fitted_values_replace_nothing_else(guarded, tmp_path) -> None:
     with pytest.raises(UserError, match="values of a guard, found another file in .*weights"):
         run_guard(GuardConfig(str(guarded), out=weights))
     assert weights.read_bytes() == b"weights"
+    older = tmp_path / "older.json"
+    older.write_text('{"schema": 1, "streams": {}}')
+    assert run_guard(GuardConfig(str(guarded), episodes=4, out=older))["file"] == str(older)
     same = guarded / FILE
     with pytest.raises(UserError, match="--json beside the values"):
         run_guard(GuardConfig(str(guarded), json=str(same)))

@@ -119,8 +119,11 @@ def test_a_picture_that_is_no_square_is_refused() -> None:
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda rgb: rgb.astype(np.float32) / 255, "uint8, found .84, 84, 3. float32"),
-        (lambda rgb: np.concatenate([rgb, rgb[..., :1]], -1), "found .84, 84, 4. uint8"),
+        (lambda rgb: rgb.astype(np.float32) / 255, "uint8, found .84, 84, 3. float32; convert it"),
+        (
+            lambda rgb: np.concatenate([rgb, rgb[..., :1]], -1),
+            "found .84, 84, 4. uint8; give three channels",
+        ),
         (lambda rgb: None, "expected a View of first, found None"),
     ],
 )

@@ -122,9 +122,17 @@ def test_a_policy_that_samples_is_judged_by_what_goes_beyond(bench: Path) -> Non
             self.spread = spread
             self.rng = np.random.default_rng(0)
 
+        def encode(self, views: Array, state: Array) -> Encoded:
+            return replace(super().encode(views, state), private={})
+
         def read(self, encoded: Encoded, masks: Array) -> Readout:
+            """It keeps its answer to a mask with what was encoded, as a served policy does."""
             read = super().read(encoded, masks)
-            noise = self.rng.normal(0, self.spread, read.action.shape)
+            drawn = self.rng.normal(0, self.spread, read.action.shape)
+            noise = [
+                encoded.private.setdefault(mask.tobytes(), one)
+                for mask, one in zip(masks, drawn, strict=True)
+            ]
             return replace(read, action=(self.share * read.action + noise).astype(np.float32))
 
     alone = recorded_audit(replace(audit, policy=Samples(0, 0.2)))
@@ -132,6 +140,9 @@ def test_a_policy_that_samples_is_judged_by_what_goes_beyond(bench: Path) -> Non
     assert alone["verdict"] == {"top": OPEN, "wrist": OPEN}, "noise is no use of a camera"
     both = recorded_audit(replace(audit, policy=Samples(1, 0.1)))
     assert both["verdict"] == {"top": CHANGES, "wrist": OPEN}
+    little = recorded_audit(replace(audit, policy=Samples(1, 0.02)))
+    assert 0 < little["repeats"]["mean"] < 0.1
+    assert little["verdict"] == {"top": CHANGES, "wrist": STAYS}
     assert any(line.startswith("Asked the same twice, it answers ") for line in words_of(both))
     assert recorded_audit(audit)["repeats"]["mean"] == 0
     assert not any(line.startswith("Asked") for line in words_of(recorded_audit(audit)))

@@ -309,6 +309,18 @@ def test_a_picture_under_a_name_that_no_camera_has_is_refused(as_sent):
         assert "expected pictures of first, third_a, third_b, found 'fisrt'" in str(socket.recv(5))
 
 
+@pytest.mark.parametrize(
+    "more", [b"x" * 16, [[[1.0] * 4] * 4] * 3, np.zeros((2, 5), np.uint8), b"x" * 4000]
+)
+def test_what_comes_beside_whole_looks_is_no_picture(more):
+    with serving(FakePolicy()) as server, connect(server.address) as socket:
+        socket.recv(5)
+        whole = {**look()["images"], "state": np.zeros(6, np.float32), "episode": 1}
+        for sent in ({**whole, "more": more}, {**whole, "first": None, "prompt": more}):
+            socket.send(pack(sent, "openpi"))
+            assert unpack(socket.recv(5))["actions"].shape == (1, 2)
+
+
 @pytest.mark.parametrize("make", [FakePolicy, Chunked])
 @pytest.mark.parametrize(
     ("hidden", "said"),

@@ -9,7 +9,7 @@ from traceback import extract_tb
 import numpy as np
 
 from madviz.errors import UserError
-from madviz.types import Array, CameraSpec, Environment, EnvSpec, TimeStep
+from madviz.types import Array, CameraSpec, Environment, EnvSpec
 
 MAX_SIZE = 512
 """The largest view in pixels; policies and the page need no more."""
@@ -31,7 +31,7 @@ def check_state(state: Array, spec: EnvSpec) -> None:
     """Raises UserError unless ``state`` is (S,), as ``spec`` says, and finite; evaluation and
     demonstrations call it at every step."""
     if np.shape(state) == (spec.state_dim,):
-        if not np.isfinite(state).all():
+        if not _finite(state):
             raise UserError(
                 f"expected {spec.task} to give finite state numbers, found {np.asarray(state)}; "
                 "look for what it divides by, or for a simulation that has blown up"
@@ -43,11 +43,9 @@ def check_state(state: Array, spec: EnvSpec) -> None:
         )
 
 
-def check_step(spec: EnvSpec, decisions: int, now: TimeStep) -> None:
-    """``check_state``. Raises UserError, too, for an episode that goes on after the ``decisions``
-    that it may have."""
-    check_state(now.state, spec)
-    if decisions >= spec.horizon and not now.last:
+def check_ends(spec: EnvSpec, decisions: int, last: bool) -> None:
+    """Raises UserError for an episode that goes on after the ``decisions`` that it may have."""
+    if decisions >= spec.horizon and not last:
         raise UserError(
             f"expected {spec.task} to say last=True after its {spec.horizon} decisions, found an "
             "episode that goes on; make its step and its horizon agree"
@@ -67,12 +65,20 @@ def expert_action(env: Environment) -> Array:
             f"({Path(where.filename).name}, line {where.lineno}); write or repair it, or train "
             "by rewards (--recipe paper)"
         ) from error
-    if np.shape(action) != (env.spec.action_dim,) or not np.isfinite(action).all():
+    if np.shape(action) != (env.spec.action_dim,) or not _finite(action):
         raise UserError(
             f"expected {env.spec.action_dim} finite numbers of the expert of {env.spec.task}, "
             f"found {np.asarray(action).tolist()}; repair it, or the task's action_dim"
         )
     return action
+
+
+def _finite(numbers: object) -> bool:
+    """False also for what holds no numbers."""
+    try:
+        return bool(np.isfinite(np.asarray(numbers, np.float64)).all())
+    except (TypeError, ValueError):
+        return False
 
 
 def largest_view(render_profile: str) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from madviz.envs.checks import check_state, check_step
+from madviz.envs.checks import check_ends, check_state
 from madviz.envs.registry import env_spec, make_env
 from madviz.errors import UserError
 from madviz.measure.mean_picture import stack_of
@@ -110,7 +110,6 @@ def run_episode(
     check_begin(begin, env.spec.task, env.spec.horizon)
     stack = stack_of(policy.spec, env.spec)
     now = env.reset(seed)
-    check_state(now.state, env.spec)
     total = 0.0
     success_any = False
     decision = 0
@@ -119,6 +118,7 @@ def run_episode(
         while not now.last:
             if stop():
                 raise Stopped
+            check_state(now.state, env.spec)
             present = mask if decision >= begin else every
             fails = ablation if decision >= begin else intact
             cameras = dict.fromkeys(
@@ -138,7 +138,7 @@ def run_episode(
             total += float(now.reward)
             success_any |= bool(now.success)
             decision += 1
-            check_step(env.spec, decision, now)
+            check_ends(env.spec, decision, now.last)
         outside += getattr(player, "outside", 0)  # A player that clips has counted before.
     share = outside / max(decision * env.spec.action_dim, 1)
     ended = (bool(now.success), success_any, total, share, getattr(player, "noticed", None))

@@ -8,7 +8,7 @@ For a policy that learned from recordings, its training episodes play as they we
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
@@ -26,7 +26,7 @@ from madviz.guard.fit import (
     seen_episode,
 )
 from madviz.guard.policy import GuardedPolicy
-from madviz.guard.values import FILE, read_values, write_values
+from madviz.guard.values import FILE, write_values
 from madviz.measure.episodes import one_thread
 from madviz.measure.mean_picture import stack_of
 from madviz.observation.ablation import Ablation
@@ -39,7 +39,7 @@ from madviz.recorded.known import allow_recording, is_recording, recordings_of
 from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import Robot
 from madviz.subsets import cameras_of
-from madviz.system.files import written_to
+from madviz.system.files import read_json, written_to
 from madviz.system.numbers import Count
 from madviz.types import Array, Environment, Policy, PolicySpec
 
@@ -170,13 +170,14 @@ def _check_places(out: Path, config: GuardConfig) -> None:
     if config.json is not None and Path(config.json).resolve() == out.resolve():
         raise UserError(f"expected --json beside the values, found both at {out}; name another")
     if config.out is not None and out.is_file() and out.stat().st_size:
-        try:
-            read_values(out, "see docs/guard.md")
-        except UserError as error:
+        found = None
+        with suppress(UserError):
+            found = read_json(out)
+        if not (isinstance(found, dict) and {"schema", "streams"} <= found.keys()):
             raise UserError(
                 f"expected --out for values of a guard, found another file in {out}; name another, "
                 "or remove it first"
-            ) from error
+            )
 
 
 def _blank_words(blank: dict[str, list[tuple[int, int]]], seeds: tuple[int, ...]) -> list[str]:

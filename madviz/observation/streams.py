@@ -45,11 +45,12 @@ def stream_frame(view: View | None, stream: str, env: EnvSpec, size: int = IMAGE
     if modality_of(stream) == "depth":
         frame = depth_code(view.depth, env.camera(camera_of(stream)).depth_range)
     else:
-        frame = view.rgb
+        frame = np.asarray(view.rgb)
         if frame.dtype != np.uint8 or frame.shape[2:] != (3,):
+            move = "convert it, 0 to 255" if frame.dtype != np.uint8 else "give three channels"
             raise UserError(
                 f"expected rgb of {camera_of(stream)} as (H, W, 3) uint8, found {frame.shape} "
-                f"{frame.dtype}; let {env.task} give 0 to 255"
+                f"{frame.dtype}; {move} in {env.task}"
             )
     if frame.shape[0] != frame.shape[1]:
         raise UserError(

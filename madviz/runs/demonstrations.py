@@ -112,8 +112,8 @@ def record_episode(
     pushed = slow_noise(rng, driver.noise_spread, env.spec.action_dim)
     frames: dict[str, list[Array]] = {stream: [] for stream in streams}
     now = env.reset(seed)
-    check_state(now.state, env.spec)
     for step in range(env.spec.horizon):
+        check_state(now.state, env.spec)
         views = {camera: env.view(camera) for camera in cameras}
         for stream in streams:
             frame = stream_frame(views[camera_of(stream)], stream, env.spec)
@@ -132,7 +132,6 @@ def record_episode(
         rows["states"].append(now.state)
         rows["places"].append(env.places() if isinstance(env, KnowsPlaces) else ())
         now = env.step(action)
-        check_state(now.state, env.spec)
         for key, value in (("actions", action), ("labels", label), ("rewards", now.reward)):
             rows[key].append(value)
     arrays = {key: np.asarray(value, np.float32) for key, value in rows.items()}

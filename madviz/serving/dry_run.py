@@ -58,7 +58,8 @@ def dry_run(policy: Policy, robot: Robot | None, dataset: Path) -> list[str]:
 
 def _episode(recordings: Recordings, robot: Robot, size: int) -> tuple[int, str, list[str]]:
     """The episode to answer to, whether the policy was trained on it, in words, and a line for each
-    one before it that cannot be decoded. Raises UserError if none can."""
+    one that was left out, or comes before it and cannot be decoded. Raises UserError if none can.
+    """
     unseen = robot.unseen(recordings)
     others = (one.index for one in reversed(recordings.episodes) if one.index not in unseen)
     faults = list(recordings.left_out)

@@ -100,7 +100,8 @@ class ServedEpisodes:
             raise BadLook("expected pictures by camera, found none")
         if unknown := sorted(set(images) - set(self._spec.streams)):
             raise BadLook(
-                f"expected pictures of {', '.join(self._spec.streams)}, found {unknown[0]!r:.60}"
+                f"expected pictures of {', '.join(self._spec.streams)}, found {unknown[0]!r:.60}; "
+                "leave it out, or send it under a camera's name"
             )
         streams = self._spec.streams
         sent = {stream: images[stream] for stream in streams if images.get(stream) is not None}

@@ -53,6 +53,10 @@ from madviz.wire.wiring import served
 LISTEN = 0.5
 """Seconds in which a vla-eval client has spoken."""
 MOST_CLIENTS = 32
+NO_PICTURES = {"state", "prompt", "episode"}
+"""Words of a look of openpi that are no pictures."""
+LEAST = 1024
+"""Values that a picture has, at least."""
 
 log = logging.getLogger(__name__)
 
@@ -225,7 +229,11 @@ class PolicyServer:
 
     def _beside(self, look: dict[str, Any]) -> dict[str, Any]:
         """The pictures of ``look`` by name. Raises BadLook for some that lie deeper in it."""
+        streams = self._policy.spec.streams
         images = {name: value for name, value in look.items() if self._shows(name, value)}
+        if any(look.get(stream) is None for stream in streams):  # One may have another name.
+            others = look.keys() - images.keys() - NO_PICTURES
+            images |= {name: look[name] for name in others if _packed(look[name])}
         for name, value in look.items():
             if name not in images and self._hides(value):
                 raise BadLook(
@@ -243,13 +251,8 @@ class PolicyServer:
 
     def _shows(self, name: str | int, value: Any) -> bool:
         """True for what a client means as a picture, also under a name that no camera has."""
-        one = value
-        for _ in range(2):  # A picture that was packed as lists is one of rows of pixels.
-            one = one[0] if isinstance(one, list) and one else None
-        packed = isinstance(value, bytes) or isinstance(one, list)
-        flat = isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype == np.uint8
         deep = isinstance(value, np.ndarray) and value.ndim >= 3
-        return packed or flat or deep or name in self._policy.spec.streams
+        return deep or name in self._policy.spec.streams
 
     def _greeting(self) -> dict[str, Any]:
         numbers = {"name": "actions", "dims": self._action_dim, "format": "raw"}
@@ -272,6 +275,15 @@ class PolicyServer:
         if self._robot is None:
             return [-1.0, 1.0]
         return [min(self._robot.actions.low), max(self._robot.actions.high)]
+
+
+def _packed(value: Any) -> bool:
+    """True for what may be a picture in a form that no policy takes: bytes, lists of rows, grey."""
+    if isinstance(value, list):
+        return bool(value) and isinstance(value[0], list) and len(value) * len(value[0]) >= LEAST
+    if isinstance(value, bytes):
+        return len(value) >= LEAST
+    return isinstance(value, np.ndarray) and value.ndim == 2 and value.size >= LEAST
 
 
 def _chosen(connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:

@@ -117,8 +117,8 @@ def lessons(prefix: Path, copies: Path) -> None:
 
 def students(names: list[str], passwords: Path) -> None:
     """Makes an account for every name that has none, and adds the others to the class. The password
-    of a new account is in the file ``passwords`` before the account has it, so that none is lost
-    where a later account fails."""
+    of a new account is in the file ``passwords`` at once, so that none is lost where a later one
+    fails; an account that could not get one is removed again."""
     if wrong := [name for name in names if not NAME.fullmatch(name)]:
         raise Complaint(f"expected names such as student01, found {wrong[0]!r}; change it")
     known = {user.pw_name for user in pwd.getpwall()}
@@ -132,9 +132,13 @@ def students(names: list[str], passwords: Path) -> None:
             words = ("--create-home", "--groups", GROUP, "--shell", "/bin/bash")
             run("useradd", *words, "--key", "HOME_MODE=0700", name)
             password = "".join(secrets.choice(LETTERS) for _ in range(10))
-            csv.writer(file).writerow((name, password))
-            file.flush()
-            run("chpasswd", input=f"{name}:{password}\n", text=True)
+            try:
+                run("chpasswd", input=f"{name}:{password}\n", text=True)
+                csv.writer(file).writerow((name, password))
+                file.flush()
+            except BaseException:
+                run("userdel", "--remove", name)
+                raise
             made += 1
     print(f"{made} accounts made; their passwords are in {passwords}")
 

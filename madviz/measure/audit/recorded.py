@@ -71,7 +71,7 @@ class RecordedRow(TypedDict):
     what: What
     how: How
     change: DistanceRow
-    """From the action with all cameras, beyond what two answers to the same look differ by."""
+    """From the action with all cameras."""
     further: DistanceRow
     """Its distance from the recorded action, less that with all cameras."""
     most: str
@@ -160,19 +160,18 @@ class RecordedAudit:
         states = self.robot.states.scale(raw)
         task = next(one.task for one in self.recordings.episodes if one.index == index)
         groups: dict[object, list[int]] = defaultdict(list)
-        asked = [*self.conditions, INTACT]
-        for row, condition in enumerate(asked):
+        for row, condition in enumerate(self.conditions):
             groups[condition.occlusions].append(row)
         width = len(self.robot.action_names)
-        actions = np.zeros((len(asked), len(steps), width), np.float32)
+        actions = np.zeros((len(self.conditions) + 1, len(steps), width), np.float32)
         place = {int(step): number for number, step in enumerate(steps)}
         depth = np.ones(frames.shape[2:4], np.float32)  # Nothing looks at it.
         for rows in groups.values():
             stack = StreamStack(
                 self.env, spec.streams, spec.frame_stack, spec.image_size, lambda: means
             )
-            ablation = asked[rows[0]].ablation(spec.streams)
-            masks = np.stack([asked[row].mask(spec.streams) for row in rows])  # (N', V)
+            ablation = self.conditions[rows[0]].ablation(spec.streams)
+            masks = np.stack([self.conditions[row].mask(spec.streams) for row in rows])  # (N', V)
             for step in range(int(steps[-1]) + 1):
                 pictures = np.array(frames[step])
                 views = {name: View(pictures[names.index(name)], depth) for name in spec.streams}
@@ -181,6 +180,9 @@ class RecordedAudit:
                     state = RecordedState.of(states[step], raw[step], task)
                     encoded = self.policy.encode(stack.views, state)
                     actions[rows, place[step]] = self.policy.read(encoded, masks).action
+                    if 0 in rows:  # A served policy keeps its answers with what was encoded.
+                        again = self.policy.encode(stack.views, state)
+                        actions[-1, place[step]] = self.policy.read(again, masks[:1]).action[0]
         return actions
 
 
@@ -192,8 +194,8 @@ class _Answered:
     """(T',)."""
     change: Array
     """(N, T') from the action with all cameras."""
-    repeats: float
-    """The distance between two actions with all cameras, on average over the steps."""
+    repeats: Array
+    """(T',) between two actions with all cameras."""
     numbers: Array
     """(N, A): likewise, of each number, on average over the steps."""
     errors: Array
@@ -230,7 +232,7 @@ def recorded_audit(
         answered[index] = _Answered(
             steps,
             audit.robot.distance(actions, actions[:1]),
-            float(audit.robot.distance(asked[-1], actions[0]).mean()),
+            audit.robot.distance(asked[-1], actions[0]),
             each_apart(actions, actions[:1], audit.robot.scaled_spread).mean(axis=1),
             audit.robot.distance(actions, recorded[steps]).mean(axis=1),
         )
@@ -250,8 +252,8 @@ def _document(
     unseen = robot.unseen(audit.recordings)
     judged = [index for index in answered if index in unseen]
     episodes = [answered[index] for index in judged or answered]
-    repeats = np.array([one.repeats for one in episodes])  # (E,)
-    changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1) - repeats  # (N, E)
+    changes = np.stack([one.change.mean(axis=1) for one in episodes], axis=1)  # (N, E)
+    repeats = np.array([one.repeats.mean() for one in episodes])  # (E,)
     errors = np.stack([one.errors for one in episodes], axis=1)  # (N, E)
     numbers = np.mean([one.numbers for one in episodes], axis=0)  # (N, A)
 
@@ -269,8 +271,16 @@ def _document(
         }
 
     deciding = {name: audit.cameras.deciding(name).removed for name in audit.cameras.names}
-    removed = {name: distance_row(changes[place[one.condition]]) for name, one in deciding.items()}
-    verdicts = {name: verdict(change, repeats.mean()) for name, change in removed.items()}
+    verdicts = {}
+    for name, one in deciding.items():
+        at = place[one.condition]
+        sampled = None
+        if repeats.any():
+            # Of independent noise the squares add up, so that they can be taken apart.
+            sampled = np.array(
+                [(e.change[at] ** 2).mean() - (e.repeats**2).mean() for e in episodes]
+            )
+        verdicts[name] = verdict(distance_row(changes[at]), sampled)
     return {
         "schema": 1,
         "label": LABEL,
@@ -324,12 +334,14 @@ def distance_row(values: Sequence[float] | Array) -> DistanceRow:
     return {"mean": float(values.mean()), "ci95": list(t_interval(values))}
 
 
-def verdict(change: DistanceRow, repeats: float = 0) -> str:
-    """The words for a camera, by the change without it. Where two answers to the same look are
-    ``repeats`` apart, a smaller change does not show."""
+def verdict(change: DistanceRow, beyond: Array | None = None) -> str:
+    """The words for a camera, by the change without it. ``beyond`` (E,), of a policy that samples:
+    the mean square of the change in each episode, less that of two answers to the same look."""
     if change["ci95"] is None:
         return OPEN
     low, high = change["ci95"]
-    if low > HARDLY:
-        return CHANGES
-    return STAYS if max(high, repeats) < HARDLY else OPEN
+    if high < HARDLY:
+        return STAYS
+    if low <= HARDLY or (beyond is not None and t_interval(beyond)[0] <= HARDLY**2):
+        return OPEN
+    return CHANGES

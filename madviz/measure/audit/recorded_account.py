@@ -45,7 +45,7 @@ def recorded_words(found: RecordedAuditFile) -> list[str]:
     if found["repeats"]["mean"] > SAME:
         lines.append(
             f"Asked the same twice, it answers {_distance(found['repeats'])} spreads apart: it "
-            "samples. A change is what goes beyond that."
+            "samples. The changes below hold that, too; a verdict needs what goes beyond it."
         )
     for name, words in found["verdict"].items():
         how = found["decided_by"][name]
