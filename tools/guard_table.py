@@ -29,7 +29,6 @@ FIRST = "first"
 CAMERAS = (FIRST, "third_a", "third_b")
 INTACT = "guard/intact"
 BROKEN = "guard/broken"
-DEVELOPMENT = "guard/development"
 
 
 def guard_trial() -> str:
@@ -52,41 +51,37 @@ def guard_trial() -> str:
 
 
 def guard_ways() -> str:
-    """A row for each camera and way that was played on every task: success over all of them, and
-    when it was noticed; on reporting seeds where these were read, else on development seeds."""
+    """A row for each camera and way: success over all tasks, and when it was noticed."""
+    rows = read(BROKEN)["rows"]
     lines = []
     apart = 0.0
     for camera in CAMERAS:
         for way, name in ALL_NAMES.items():
-            ours, seeds = _played(camera, way)
-            if not ours:
-                continue
+            ours = [row for row in rows if (row["camera"], row["way"]) == (camera, way)]
             rates = [_over_tasks(ours, way, side) for side in SIDES]
             guarded, dropped = (_rate(ours, way, side).value for side in SIDES[1:])
             apart = max(apart, abs(guarded - dropped))
             steps = [step + 1 for row in ours for step in row["noticed"] if step is not None]
             every = sum(len(row["noticed"]) for row in ours)
             when = f"{np.median(steps):g}; {np.percentile(steps, 95):g}" if steps else "–"
-            lines.append([LABELS[camera], name, *rates, f"{len(steps)} of {every}", when, seeds])
-    header = ["camera", "fails", *SIDES, "noticed in", "at step: median; 95 %", "seeds"]
+            lines.append([LABELS[camera], name, *rates, f"{len(steps)} of {every}", when])
+    header = ["camera", "fails", *SIDES, "noticed in", "at step: median; 95 %"]
     points = round(100 * apart)
+    cells = [row for row in rows if row["camera"]]
+    fewer = [row for row in cells if row["guarded"] < row["dropped"]]
+    more = sum(row["guarded"] > row["dropped"] for row in cells)
+    named = "; ".join(
+        f"{checkpoint.describe(row['policy']).config.task} with {LABELS[row['camera']]} "
+        f"{ALL_NAMES[row['way']]}"
+        for row in fewer
+    )
     said = (
         f"In every row success with the guard is within {points} point{'s' * (points != 1)} of "
-        "success with the camera dropped."
+        f"success with the camera dropped. A row is {len(cells) // len(lines)} tasks with "
+        f"{cells[0]['n']} episodes each. In {len(fewer)} of all {len(cells)} such groups fewer "
+        f"episodes succeeded with the guard ({named}), in {more or 'none'} more."
     )
     return f"{table(header, lines)}\n{said}\n"
-
-
-def _played(camera: str, way: str) -> tuple[list[dict[str, Any]], str]:
-    """The rows of one camera and way, a row for each task, and what their seeds are for; none where
-    a task lacks it."""
-    policies = {row["policy"] for row in read(INTACT)["rows"]}
-    for file in (BROKEN, DEVELOPMENT):
-        found = read(file)
-        ours = [row for row in found["rows"] if (row["camera"], row["way"]) == (camera, way)]
-        if {row["policy"] for row in ours} == policies:
-            return ours, use_of(found["seeds"])
-    return [], ""
 
 
 def headline() -> str:
