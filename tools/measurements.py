@@ -168,7 +168,8 @@ def waits() -> str:
                     f"{one[key]:.0f} MB" if key == "one_more_mb" else f"{one[key]:.1f} s"
                     for one in (now, before)
                 )
-                ratio = f"{now[key] / before[key]:.2f}"
+                exact = before[key] >= 0.1  # The files have hundredths of a second.
+                ratio = f"{now[key] / before[key]:.2f}" if exact else "–"
                 rows.append((begin + sentence, floor, ours, theirs, ratio))
     return table(("wait", "imports alone", "now", "before", "ratio"), rows)
 
