@@ -144,6 +144,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "recorded": recorded_table.recorded,
     "guard-trial": guard_table.guard_trial,
     "guard-ways": guard_table.guard_ways,
+    "guard-alarms": guard_table.guard_alarms,
     "benchmarks": measurements.benchmarks,
     "waits": measurements.waits,
     "priorities": measurements.priorities,

@@ -3,6 +3,7 @@ false alarms, from results/guard (``python -m benchmarks guard-trial``)."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -27,6 +28,13 @@ ALL_NAMES = {
 }
 FIRST = "first"
 CAMERAS = (FIRST, "third_a", "third_b")
+ALARMS = "guard/alarms"
+UNBROKEN = {
+    "intact": "Intact",
+    "stood": "The robot stands for 15 decisions",
+    "moved": "One camera is moved by 8 cm and turned by 5 degrees",
+}
+"""By the key of ``benchmarks guard-alarms``."""
 INTACT = "guard/intact"
 BROKEN = "guard/broken"
 
@@ -82,6 +90,32 @@ def guard_ways() -> str:
         f"episodes succeeded with the guard ({named}), in {more or 'none'} more."
     )
     return f"{table(header, lines)}\n{said}\n"
+
+
+def guard_alarms() -> str:
+    """Sentences on alarms where no camera fails: intact, with a robot that stands, with a camera
+    that is moved."""
+    results = read(ALARMS)
+    said = []
+    for key, what in UNBROKEN.items():
+        alarms = [alarm.split() for result in results for alarm in result[key]]
+        episodes = sum(len({alarm[0] for alarm in map(str.split, one[key])}) for one in results)
+        n = sum(len(one["seeds"]) for one in results)
+        kinds = Counter(alarm[2].split("@")[0] for alarm in alarms)
+        named = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
+        first = sum(alarm[1] == FIRST for alarm in alarms)
+        low, high = SuccessRate.of(episodes, n).interval
+        words = f" ({named}; {first} of {len(alarms)} in First person)" if alarms else ""
+        said.append(
+            f"- {what}: an alarm in {episodes} of {n} episodes{words}, {100 * low:.0f} to "
+            f"{100 * high:.0f} in 100 (95 %)."
+        )
+    seeds = results[0]["seeds"]
+    said.append(
+        f"- {len(seeds)} episodes of each of {len(results)} tasks, {use_of(seeds)} seeds "
+        f"{seeds[0]} to {seeds[-1]}."
+    )
+    return "\n".join(said) + "\n"
 
 
 def headline() -> str:
