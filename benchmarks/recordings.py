@@ -174,8 +174,12 @@ def _check_lerobot(python: Path) -> None:
     """Raises UserError where ``python`` cannot import LeRobot: before the long work, not after."""
     try:
         found = subprocess.run([python, "-c", "import lerobot"], capture_output=True, text=True)
-        why = (found.stderr.splitlines() or [""])[-1] if found.returncode else ""
+        said = found.stderr.splitlines() or [f"exit status {found.returncode}"]
+        why = said[-1] if found.returncode else ""
     except OSError as error:
         why = str(error)
     if why:
-        raise UserError(f"expected a Python with LeRobot in {python}, found: {why:.200}")
+        raise UserError(
+            f"expected a Python with LeRobot in {python}, found: {why:.200}; "
+            "integrations/lerobot/setup.sh makes one"
+        )
