@@ -1,4 +1,4 @@
-"""Trains and evaluates two designs of results/designs.md, one run at a time:
+"""Trains and evaluates two designs of results/designs.md, one training at a time:
 
     python tools/designs.py crossed runs/crossed    Loss and episodes, on two robot tasks
     python tools/designs.py rewards runs/rewards    Reinforcement learning, toy/reach
@@ -6,9 +6,10 @@
 With a task or training seeds as the last words it makes these runs alone. Each evaluated training
 becomes rows of results/NAME.csv at once, so a command that was stopped goes on where it was. In
 *crossed*, for each task, training seed and level of episodes, one MAD run records, and every loss
-learns from its episodes. Their actions are in results/crossed until the last training is evaluated,
-so that another machine can go on with the same episodes. The folder of the runs, with weights and
-0.7 GB of episodes, is removed then, too; the CSV is all that stays.
+learns from its episodes; a policy is evaluated while the next is trained. The actions of these
+episodes are in results/crossed until the last training is evaluated, so that another machine can go
+on with the same episodes. The folder of the runs, with weights and 0.7 GB of episodes, is removed
+then, too; the CSV is all that stays.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ import shutil
 import subprocess
 import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,26 +93,46 @@ class Row(NamedTuple):
 
 def crossed(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:
     """*Loss and episodes*."""
+    finishing: list[Future[None]] = []
+    with ThreadPoolExecutor(1) as beside:
+        for rest in _trained(out, tasks or TASKS, seeds or SEEDS):
+            finishing.append(beside.submit(rest))
+            for one in finishing:
+                if one.done():
+                    one.result()  # An error ends the command before the next training.
+    for one in finishing:
+        one.result()
+
+
+def _trained(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> Iterator[Callable]:
+    """Trains; after each training yields what is left to do for it."""
     table = ROOT / "results" / "crossed.csv"
-    for task, seed, level in itertools.product(tasks or TASKS, seeds or SEEDS, LEVELS):
+    for task, seed, level in itertools.product(tasks, seeds, LEVELS):
         name = f"{task.replace('/', '-')}-{level}-seed{seed}"
         folder, actions = out / name, table.with_suffix("") / name
         losses = [loss for loss in LOSSES if level == "turns" or not loss.camera]
+        recorded = folder / RECORDS.name
         left = [loss for loss in losses if (task, level, seed, *loss) not in done(table)]
         for loss in left:
-            recorded = folder / RECORDS.name
             options = _recording(level)
             if loss != RECORDS:
                 if not (recorded / CONFIG).exists():
                     play_again(actions, recorded, seed)
                 options = ["--light.episodes", str(recorded)]
             _train(folder / loss.name, task, seed, loss, _imitation(loss, options))
-            rows = _evaluated(folder / loss.name, (task, level, seed), loss, 50)
             if loss == RECORDS:
                 keep(recorded, actions)
-            _add(table, rows)
-        for done_with in (folder, actions):
-            shutil.rmtree(done_with, ignore_errors=True)
+            yield partial(_counted, table, folder / loss.name, (task, level, seed), loss)
+        yield partial(_removed, (folder, actions))
+
+
+def _counted(table: Path, policy: Path, place: tuple[str, str, int], loss: Loss) -> None:
+    _add(table, _evaluated(policy, place, loss, 50))
+
+
+def _removed(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def rewards(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> None:
