@@ -19,6 +19,10 @@ class UserError(ValueError):
         super().__init__(printable(message))
 
 
+class CannotAct(UserError):
+    """A policy lacks a camera that it needs."""
+
+
 class WithResult(UserError):
     """A mistake or mishap after which there is a ``result`` all the same."""
 

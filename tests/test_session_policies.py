@@ -50,8 +50,23 @@ def test_a_policy_that_needs_every_stream_says_so():
     assert "cannot act on 'third_a+third_b'" in session.steps(1).pace.error
     back = session.ask(SetCamera("first", CameraState("rgb"))).world
     assert back.change and words(back.change, back.env).endswith("this policy can act again")
-    session.ask(Play())
-    assert session.steps(1).pace.error == ""
+    pace = session.frames[-1].pace
+    assert (pace.error, pace.phase) == ("", "playing"), "it goes on by itself"
+    step = session.frames[-1].world.step
+    assert session.steps(2).world.step == step + 2
+
+
+def test_one_step_that_lacked_a_camera_stays_one_step():
+    session = Recorder(AllOrNothing("toy-stack"))
+    session.at(0.0)
+    session.ask(Pause())
+    session.ask(SetCamera("first", OFF))
+    assert "cannot act on" in session.ask(StepOnce()).pace.error
+    other = session.ask(SetCamera("third_a", OFF)).pace.error
+    assert "cannot act on 'third_a+third_b'" in other, "still one camera too few"
+    session.ask(SetCamera("third_a", CameraState("rgb")))
+    pace = session.ask(SetCamera("first", CameraState("rgb"))).pace
+    assert (pace.error, pace.phase) == ("", "paused")
 
 
 def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder):

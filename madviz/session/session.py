@@ -22,7 +22,7 @@ from dataclasses import replace
 from itertools import takewhile
 from typing import Self
 
-from madviz.errors import UserError
+from madviz.errors import CannotAct, UserError
 from madviz.observation.displacement import MoveCamera
 from madviz.policies.seeds import FIRST_LIVE
 from madviz.session.commands import (
@@ -100,6 +100,8 @@ class Session(LiveSession):
         self._paused = script is not None
         self._number = 0
         self._error = ""
+        self._was_paused: bool | None = None
+        """Before the error, where it says that a policy lacks a camera."""
 
     def send(self, command: Command) -> None:
         if len(self.inbox) + len(self._backlog) >= MOST_WAITING:
@@ -229,6 +231,7 @@ class Session(LiveSession):
             if not first:  # Nobody knows how far it came.
                 self._stage.journal.spoil()
             self._error = first + traceback.format_exc()
+            self._was_paused = self._paused if isinstance(error, CannotAct) else None
             self._paused = True
             try:
                 self._emit(keep=False)
@@ -285,6 +288,9 @@ class Session(LiveSession):
         last = all(one.camera != command.camera for one in later)
         if self._stage.is_open and last:
             self._stage.touch(command, preview)
+            if self._error and self._was_paused is not None and self._stage.can_act:
+                self._error = ""
+                self._paused = self._was_paused  # It goes on as before.
             self._emit(keep=not preview)
 
     def _carry_out(self, command: Command, now: float) -> None:

@@ -23,7 +23,7 @@ from madviz.analysis.foresight import Foresight, can_foresee, foresee
 from madviz.analysis.imagination import imagined
 from madviz.analysis.probes import Probe
 from madviz.analysis.saliency import LiveSaliency
-from madviz.errors import UserError
+from madviz.errors import CannotAct, UserError
 from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import MoveCamera
@@ -166,9 +166,14 @@ class Simulation:
         self.missed = False
         self._read()
 
+    @property
+    def can_act(self) -> bool:
+        """Whether the policy can decide on the cameras that are present."""
+        return bool(self.probe.supported[self.probe.row(self._present)])
+
     def check(self) -> None:
         """Asks the policy once more where it gave no answer on this step. Raises UserError if no
-        decision can be taken here."""
+        decision can be taken here, CannotAct where it is for want of a camera."""
         if self.missed or len(self._actions) != self.now.step:
             raise UserError(
                 f"expected {self.env.spec.task} at step {self.now.step} of seed {self.seed}, found "
@@ -176,8 +181,8 @@ class Simulation:
             )
         if self.input.unread:
             self._read()
-        if not self.probe.supported[self.probe.row(self._present)]:
-            raise UserError(
+        if not self.can_act:
+            raise CannotAct(
                 f"{self.policy.spec.name} cannot act on {self.condition.subset!r}; "
                 "switch another camera on"
             )

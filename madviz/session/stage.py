@@ -259,6 +259,11 @@ class Stage:
         return [self._live, *([self._second.simulation] if self._second is not None else [])]
 
     @property
+    def can_act(self) -> bool:
+        """Whether every policy can decide on the cameras that it has."""
+        return all(side.can_act for side in self._sides)
+
+    @property
     def retracing(self) -> bool:
         """True while a replay with all cameras is not done."""
         return self._retraces.going
