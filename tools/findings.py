@@ -229,8 +229,8 @@ FINDINGS = (
     ),
     *(
         Finding(
-            "With the same loss, a policy succeeds more often on a single camera if single "
-            "cameras drove, too, where its episodes were recorded",
+            "On a single camera, policies succeed more often if single cameras drove, too, while "
+            "their episodes were recorded",
             task,
             ("crossed", tuple(f"{loss}, turns" for loss in LOSSES)),
             ("crossed", tuple(f"{loss}, all" for loss in LOSSES)),
