@@ -118,7 +118,8 @@ def _trained(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> Iterator[
             if loss != RECORDS:
                 if not (recorded / CONFIG).exists():
                     play_again(actions, recorded, seed)
-                options = ["--light.episodes", str(recorded)]
+                # Nothing is recorded beside it: two threads learn.
+                options = ["--light.episodes", str(recorded), "--threads", "2"]
             _train(folder / loss.name, task, seed, loss, _imitation(loss, options))
             if loss == RECORDS:
                 keep(recorded, actions)
