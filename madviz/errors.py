@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+TRACEBACK = "Traceback (most recent call last):"
 LONGEST = 3000
 """Characters of a message: lists of names need hundreds."""
 
@@ -71,6 +72,13 @@ class Interrupted(KeyboardInterrupt):
 def signal_of(stopped: KeyboardInterrupt) -> int:
     """The number of the signal behind it."""
     return signal.SIGTERM if isinstance(stopped, Terminated) else signal.SIGINT
+
+
+def parts_of(error: str) -> tuple[str, str]:
+    """The message and the traceback of ``error``, which is one of them or both, in this order; a
+    traceback alone ends with its message."""
+    said, head, trace = error.partition(TRACEBACK)
+    return said.strip() or trace.strip().rpartition("\n")[2], head + trace
 
 
 def printable(text: str) -> str:

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import types
 import urllib.request
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ from madviz.observation.condition import Condition
 from madviz.session.commands import Play, SetSpeed
 from madviz.teaching.inside import record
 from madviz.teaching.lessons import interval_figure
+from madviz.types import Encoded
 from madviz.widgets import Explorer, Predict, TryOut, Viewer, live_page, notebook_page
 from madviz.widgets.explorer import MOST
 from madviz.widgets.explorer_table import ROWS, table_html, words_html
@@ -126,6 +128,33 @@ def test_it_says_so_when_a_policy_cannot_act() -> None:
         until(lambda: "cannot act on this" in explorer.table.value)
         explorer.step()
         until(lambda: "cannot act on" in explorer.words.value)
+        explorer.set("first")
+        assert explorer.frame.camera("first").input == "rgb", "an earlier error ends no waiting"
+
+
+class Broken(FakePolicy):
+    """Takes a while for its first feature; raises, when it is told to, an error of its author."""
+
+    breaks = False
+
+    def encode(self, views: np.ndarray, state: np.ndarray) -> Encoded:
+        time.sleep(0.0 if self.breaks else 0.6)
+        if self.breaks:
+            raise ValueError("weights have 3 columns, pictures 4")
+        return super().encode(views, state)
+
+
+def test_a_slow_first_answer_is_waited_for_and_an_error_is_shown_by_its_message() -> None:
+    policy = Broken()
+    with closing(Explorer(policy)) as explorer:
+        policy.breaks = True
+        explorer.step()
+        until(lambda: "weights have 3 columns, pictures 4" in explorer.words.value)
+        assert "Traceback" not in explorer.words.value
+    before = threads()
+    with pytest.raises(UserError, match="found: ValueError: weights have 3 columns, pictures 4"):
+        Explorer(policy)
+    assert threads() == before
 
 
 def test_a_set_that_was_not_read_is_not_one_that_it_cannot_act_on() -> None:
@@ -313,6 +342,6 @@ def test_a_goal_that_is_met_is_no_success_before_the_end() -> None:
     frame = frame_with()
     assert "not yet" in words_html(frame)
     assert "goal met now" in words_html(with_world(frame, success=True))
-    ended = with_world(frame, step=frame.decisions)
+    ended = with_world(frame, step=frame.decisions, last=True)
     assert "failed" in words_html(ended)
     assert "success" in words_html(with_world(ended, success=True))

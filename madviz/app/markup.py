@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from html import escape
 
+from madviz.errors import parts_of
 from madviz.vocabulary.words import MEANINGS
-
-TRACEBACK = "Traceback (most recent call last):"
 
 
 def dot(colour: str, style: str = "") -> str:
@@ -47,10 +46,9 @@ def band(left: float, width: float, colour: str, style: str = "") -> str:
 def error_html(before: str, error: str, after: str = "") -> str:
     """The message of an error, for a visitor; under it, closed, where in the code it was raised,
     for the author of the policy. ``error`` is a message, a traceback, or both in this order."""
-    said, _, trace = error.partition(TRACEBACK)
-    said = said.strip() or trace.strip().rpartition("\n")[2]
+    said, trace = parts_of(error)
     html = f"<b>{escape(before)}{escape(said)}</b><div>{escape(after)}</div>"
     if trace:
-        shown = escape(f"{TRACEBACK}{trace.rstrip()}")
+        shown = escape(trace.rstrip())
         html += f"<details><summary>Where in the code</summary><pre>{shown}</pre></details>"
     return html

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
-from madviz.errors import UserError
+from madviz.errors import UserError, parts_of
 from madviz.policies.guarded import reference_to
 from madviz.session.commands import Play
 from madviz.session.frame import Frame, NoFrame
@@ -27,7 +27,7 @@ def frames(session: Session, steps: int | None) -> Iterator[Frame]:
             frame = arrived.popleft()
             error = frame.error if isinstance(frame, NoFrame) else frame.pace.error
             if error or isinstance(frame, NoFrame):
-                raise UserError(f"the episode stopped: {error.strip().splitlines()[0]}")
+                raise UserError(f"the episode stopped: {parts_of(error)[0]}")
             if newest is not None and frame.world.step > newest.world.step:
                 yield newest
                 if newest.world.step == steps:

@@ -30,7 +30,7 @@ import ipywidgets
 from madviz.drawing.jpeg import jpeg
 from madviz.drawing.mosaic import mosaic
 from madviz.envs.registry import make_env
-from madviz.errors import UserError
+from madviz.errors import UserError, parts_of
 from madviz.observation.ablation import KINDS, CameraInput, CameraState, Occlusion, OcclusionKind
 from madviz.policies import checkpoint
 from madviz.session.commands import Command, Pause, Play, Reset, SetCamera, SetSpeed, StepOnce
@@ -123,8 +123,7 @@ class Explorer(StaticBox):
         """The newest time step. Raises UserError with the session's own words if there is none."""
         latest = self.session.latest
         if not isinstance(latest, Frame):
-            found = latest.error if isinstance(latest, NoFrame) else "nothing yet"
-            raise UserError(f"expected a running episode, found: {found.splitlines()[0]}")
+            raise UserError(f"expected a running episode, found: {_words(latest)}")
         return latest
 
     def set(
@@ -207,7 +206,7 @@ class Explorer(StaticBox):
             if isinstance(latest, Frame):
                 self.paint(latest)
             elif isinstance(latest, NoFrame):
-                self.words.value = f"<pre>{escape(latest.error)}</pre>"
+                self.words.value = f"<p>{escape(_words(latest))}</p>"
             self._closing.wait(max(0.0, 1 / PICTURES - (time.monotonic() - began)))
 
     def _first(self, playing: bool) -> Frame:
@@ -215,19 +214,23 @@ class Explorer(StaticBox):
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             latest = self.session.latest
-            if isinstance(latest, NoFrame):
+            if isinstance(latest, NoFrame) and not latest.passing:
                 break
-            if latest is not None and (playing or latest.pace.phase == "paused"):
+            if isinstance(latest, Frame) and (playing or latest.pace.phase == "paused"):
                 break
             self._ready.wait(0.05)
             self._ready.clear()
         return self.frame
 
     def _send_and_wait(self, command: Command, done: Callable[[Frame], bool]) -> None:
-        """Sends a command and waits for a frame that shows it, or an error."""
+        """Sends a command and waits for a frame that shows it, or a later error."""
+        before = self.frame.pace.number
         self.session.send(command)
         deadline = time.monotonic() + PATIENCE
-        while not (done(self.frame) or self.frame.pace.error) and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            frame = self.frame
+            if done(frame) or (frame.pace.error and frame.pace.number > before):
+                return
             time.sleep(0.005)
 
     # Controls.
@@ -271,6 +274,11 @@ class Explorer(StaticBox):
         fails.observe(lambda change: choose(occlusion=Occlusion(change["new"])), "value")
         label = ipywidgets.Label(camera.label, layout={"width": "100px"})
         return ipywidgets.HBox([label, switch, fails])
+
+
+def _words(latest: NoFrame | None) -> str:
+    """Why there is no frame."""
+    return "nothing yet" if latest is None else parts_of(latest.error)[0] or latest.title
 
 
 def open_env(task: str, render_profile: str, cameras: tuple[CameraSpec, ...] = ()) -> Environment:

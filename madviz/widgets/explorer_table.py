@@ -6,6 +6,7 @@ from html import escape
 
 import numpy as np
 
+from madviz.errors import parts_of
 from madviz.session.camera_names import subset_label
 from madviz.session.frame import Frame, words
 from madviz.subsets import name_of
@@ -25,7 +26,7 @@ def words_html(frame: Frame) -> str:
     lines = [
         f"seed {world.seed}, decision {world.step} of {world.env.horizon}: <b>{outcome}</b>",
         escape(words(world.change, world.env)) if world.change else "",
-        escape(frame.pace.error.splitlines()[0]) if frame.pace.error else "",
+        escape(parts_of(frame.pace.error)[0]),
     ]
     return "<br>".join(line for line in lines if line)
 
