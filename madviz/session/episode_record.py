@@ -17,6 +17,9 @@ from madviz.session.frame import Deed, Outcome
 from madviz.subsets import camera_of
 from madviz.types import CameraSpec, PolicySpec, TimeStep
 
+WORST = {"off": "was dropped", "occluded": "was broken", "moved": "stood elsewhere"}
+"""The words for a camera that is as in training again, by the worst that it was."""
+
 
 @dataclass
 class EpisodeRecord:
@@ -30,11 +33,9 @@ class EpisodeRecord:
     """By camera: off, occluded or moved, the first of these that it was at any decision."""
     decisions: int = 0
     since: dict[str, tuple[str, int]] = field(default_factory=dict)
-    """By camera that is not as in training: in which way, and since which decision."""
-    ablation: Ablation = Ablation()
-    """The one of the last decision."""
+    """By camera that is not as in training: how, in words, and since which decision."""
     last: Condition | None = None
-    """Likewise."""
+    """The one of the last decision."""
 
     def arrived(self, time_step: TimeStep) -> None:
         """Counts a decision's reward and success."""
@@ -55,36 +56,28 @@ class EpisodeRecord:
                 self.worst[camera] = "occluded"
             elif camera in ablation.moves:
                 self.worst.setdefault(camera, "moved")
-        ways = {camera: "moved" for camera in ablation.moves if camera in present}
-        ways |= {camera: how.kind for camera, how in occluded.items() if camera in present}
-        ways |= {camera: "off" for camera in ablation.cameras if camera not in present}
+        past = {
+            camera: f"{WORST['moved']} ({move.words()})"
+            for camera, move in ablation.moves.items()
+            if camera in present
+        }
+        past |= {camera: how.past for camera, how in occluded.items() if camera in present}
+        past |= {camera: WORST["off"] for camera in ablation.cameras if camera not in present}
         before = self.since
         self.since = {
-            camera: before[camera] if before.get(camera, ("",))[0] == way else (way, self.decisions)
-            for camera, way in ways.items()
+            camera: before[camera] if before.get(camera, ("",))[0] == how else (how, self.decisions)
+            for camera, how in past.items()
         }
-        self.ablation = ablation
         self.last = condition
         self.decisions += 1
 
     def deeds(self, cameras: Iterable[CameraSpec]) -> tuple[Deed, ...]:
         """The change of each of ``cameras``, in words."""
         return tuple(
-            Deed(camera.label, self._past(camera.name), self.since.get(camera.name, ("", None))[1])
+            Deed(camera.label, *self.since.get(camera.name, (WORST[self.worst[camera.name]], None)))
             for camera in cameras
             if camera.name in self.worst
         )
-
-    def _past(self, camera: str) -> str:
-        way, _ = self.since.get(camera, (self.worst[camera], 0))
-        move = self.ablation.moves.get(camera)
-        if way == "off":
-            return "was dropped"
-        if way == "occluded":
-            return "was broken"
-        if way == "moved":
-            return f"stood elsewhere ({move.words()})" if move else "stood elsewhere"
-        return self.ablation.camera(camera).occlusion.past
 
     def outcome(
         self, spec: PolicySpec, seed: int, success: bool, cameras: Iterable[CameraSpec]

@@ -31,6 +31,11 @@ test('what befell a camera is what its decisions saw', () => {
     {step: 7, camera: 'third_a', state: intact()}, {step: 100, camera: 'third_a', state: OFF}];
   assert.deepEqual(deedsOf({events, horizon: 100}, CAMERAS),
     [['First person', 'was dropped', 3], ['Third A', 'was broken', null]]);
+  const noise = (step, strength, x = 0.5) => ({step, camera: 'first',
+    state: {...intact(), occlusion: {...noOcclusion(), kind: 'noise', strength, x}}});
+  const weaker = [noise(4, 1), noise(7, 0.5), noise(9, 0.5, 0.1)];
+  assert.deepEqual(deedsOf({events: weaker, horizon: 100}, CAMERAS),
+    [['First person', 'sent 50 % noise', 7]], 'the step from which on the words hold');
   const undone = [{step: 3, camera: 'first', state: OFF}, {step: 3, camera: 'first', state: intact()}];
   assert.deepEqual(deedsOf({events: undone, horizon: 100}, CAMERAS), []);
 });

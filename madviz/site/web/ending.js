@@ -39,18 +39,19 @@ export function deedsOf(world, cameras) {
     let state;
     /** @type {import('./messages.js').Displacement | null} */
     let move = null;
-    let way = '', since = 0, worst = '';
+    let past = '', since = 0, worst = '';
     events.forEach((event, i) => {
       if (event.state) state = event.state; else move = event.move ?? null;
       if (events[i + 1]?.step === event.step) return; // No decision was taken so.
       const now = wayOf(state, move);
-      if (now !== way) since = event.step;
-      way = now;
+      const words = now && pastOf(now, state, move);
+      if (words !== past) since = event.step;
+      past = words;
       const rank = ['', 'moved', 'occluded', 'off'];
       const bad = ['', 'moved', 'off'].includes(now) ? now : 'occluded';
       if (rank.indexOf(bad) > rank.indexOf(worst)) worst = bad;
     });
-    if (way) deeds.push([label, pastOf(way, state, move), since]);
+    if (past) deeds.push([label, past, since]);
     else if (worst) deeds.push([label, pastOf(worst, undefined, null), null]);
   }
   return deeds;
