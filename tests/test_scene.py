@@ -128,6 +128,11 @@ def test_a_frustum_goes_where_its_camera_was_put(server):
     apply(stage.panel.update(frame))
     np.testing.assert_allclose(frustum.position, elsewhere.position)
     assert np.degrees(frustum.fov) == pytest.approx(20) and frustum.scale != before
+    for fovy in (35.0, 20.0):  # Zoomed where it stands, and back.
+        stage.now += 1.0
+        zoomed = {**frame.world.poses, "third_b": replace(elsewhere, fovy=fovy)}
+        apply(stage.panel.update(with_world(frame, poses=zoomed)))
+        assert np.degrees(frustum.fov) == pytest.approx(fovy)
     stage.panel.remove()
 
 

@@ -12,8 +12,9 @@ from madviz.app.panels.policy import PolicyChoice
 from madviz.app.tour import HELP, Tour
 from madviz.app.tour_steps import GOES_AT, acts, comparison_steps, steps
 from madviz.envs.registry import make_env
-from madviz.observation.ablation import CameraState, Occlusion
+from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.condition import Condition
+from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.schedule import Event
 from madviz.policies.seeds import FIRST_DEVELOPMENT
 from madviz.session.commands import (
@@ -352,17 +353,24 @@ def test_what_a_visitor_changes_after_a_tour_is_not_taken_back_by_the_next(
 
 
 def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: viser.ViserServer):
-    table.session.send(SetCamera("third_a", CameraState("off")))
+    beside = Compare("toy-merged-only-light", Ablation({"first": CameraState("off")}))
+    moved = MoveCamera("third_b", Displacement(pan=10))
+    for command in (SetCamera("third_a", CameraState("off")), moved, beside):
+        table.session.send(command)
     before = table.tick()
+    assert before.second is not None and not before.linked
     for leave_after in range(1, 4):
         tour = Tour(browser(server), table.session.send, lambda: table.frame, CHOICES, [])
         tour.greet()
         for _ in range(leave_after):
             tour.next()
-            table.tick()
+            during = table.tick()
+        assert not during.world.ablation.moves
         tour.end()
         frame = table.tick()
-        assert frame.second is None and not frame.schedule
+        assert not frame.schedule and frame.world.ablation.moves == before.world.ablation.moves
+        assert frame.second is not None and not frame.linked
+        assert frame.second.condition == before.second.condition
         assert frame.condition == before.condition and frame.pace.speed == before.pace.speed
 
 

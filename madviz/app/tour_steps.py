@@ -19,6 +19,7 @@ from typing import NamedTuple
 from madviz.app.panels.policy import PolicyChoice
 from madviz.guard.policy import SUFFIX
 from madviz.observation.ablation import CameraInput, CameraState, Occlusion, OcclusionKind
+from madviz.observation.displacement import MoveCamera
 from madviz.observation.schedule import Event
 from madviz.policies.guarded import unguarded, with_guard
 from madviz.policies.seeds import FIRST_DEVELOPMENT
@@ -235,7 +236,8 @@ def acts(frame: Frame, other: str) -> list[Step]:
 def whole(frame: Frame) -> Commands:
     """Commands for all cameras as nobody has touched them, and the policy of ``frame``."""
     cameras = (_camera(frame, index) for index in range(len(frame.world.env.cameras)))
-    return (SetPolicy(frame.world.reference), *cameras)
+    back = (MoveCamera(name, None) for name in frame.world.ablation.moves)
+    return (SetPolicy(frame.world.reference), *cameras, *back)
 
 
 def never_alone(policy: str, choices: Sequence[PolicyChoice]) -> str | None:
@@ -260,10 +262,14 @@ def compares(step: Step) -> bool:
 
 def restored(frame: Frame, compared: bool = False) -> Commands:
     """Commands for cameras, policy, speed and pause as in ``frame``; if something was ``compared``,
-    also for the failures that come by themselves, and without B."""
-    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in frame.world.env.cameras)
+    also for the failures that come by themselves, and for B."""
+    world = frame.world
+    cameras = (SetCamera(c.name, frame.camera(c.name)) for c in world.env.cameras)
+    moves = (MoveCamera(name, move) for name, move in world.ablation.moves.items())
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
+    b = frame.second.world if compared and frame.second is not None else None
+    beside = (Compare(b.reference, b.ablation), Link(frame.linked)) if b is not None else ()
     paused = (Pause(),) if frame.pace.phase == "paused" else ()
-    policy = SetPolicy(frame.world.reference)
+    policy = SetPolicy(world.reference)
     speed = SetSpeed(frame.pace.speed)
-    return (*alone, policy, *cameras, speed, *paused)
+    return (*alone, policy, *cameras, *moves, *beside, speed, *paused)

@@ -110,8 +110,9 @@ class ScenePanel(Panel):
         for name, handle in self._frusta.items():
             pose = frame.world.poses[name]
             before = self._placed[name]
-            if not _same(pose, before):
+            if not _same(pose, before) or pose.fovy != before.fovy:
                 self._placed[name] = pose
+            if not _same(pose, before):
                 changes += [
                     Assign(handle, "position", np.asarray(pose.position, float)),
                     Assign(handle, "wxyz", np.asarray(pose.wxyz, float)),
