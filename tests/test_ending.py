@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 
 from madviz.envs.registry import TASKS
 from madviz.envs.tasks import DONE, done_words
+from madviz.envs.toy import ToyReach
 from madviz.measure.statistics import Paired, SuccessRate
 from madviz.observation.ablation import CameraState, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.displacement import Displacement, MoveCamera
+from madviz.recording.frames import frames
 from madviz.session.commands import Compare, Scrub, SetCamera, SetSpeed
 from madviz.session.ending import (
     EndedSide,
@@ -25,7 +28,9 @@ from madviz.session.ending import (
 )
 from madviz.session.frame import Deed
 from madviz.session.pace import HOLD, HOLD_TO_READ
-from madviz.types import PolicySpec
+from madviz.session.session import Session
+from madviz.types import Array, PolicySpec, TimeStep
+from tests.fakes import FakePolicy
 from tests.sessions import BLACK, OFF, Recorder
 
 CASES = json.loads((Path(__file__).parent / "site" / "endings.json").read_text())
@@ -82,7 +87,7 @@ def test_an_episode_says_what_befell_its_cameras(session: Recorder) -> None:
     frame = session.steps(17)
     assert frame.world.outcomes[-1].deeds == (
         Deed("First person", "was dropped", 4),
-        Deed("Third A", "sent 70 % noise", 4),
+        Deed("Third A", "sent 70 % noise", 7),
         Deed("Third B", "was broken", None),
     )
     words = ending_of(frame, measured)
@@ -90,6 +95,27 @@ def test_an_episode_says_what_befell_its_cameras(session: Recorder) -> None:
     assert session.at(session.time + HOLD_TO_READ - 0.1) is not None
     assert session.frames[-1].world.step == 25, "there is time to read"
     assert ending_of(session.ask(Scrub(3)), measured) is None, "an earlier step is no end"
+
+
+class Early(ToyReach):
+    """Ends before its horizon, as some tasks do at their first success."""
+
+    def step(self, action: Array) -> TimeStep:
+        arrived = super().step(action)
+        return replace(arrived, success=self._step == 7, last=self._step == 7)
+
+
+def test_an_episode_that_ends_early_has_ended() -> None:
+    session = Recorder(env_factory=lambda _, *options: Early("reach", *options))
+    session.steps(3)
+    session.ask(SetCamera("first", OFF))
+    frame = session.steps(4)
+    assert (frame.world.step, frame.pace.phase, frame.ended) == (7, "ended", True)
+    assert frame.history[-1].last and not frame.history[-2].last
+    words = ending_of(session.frames[-1], measured)
+    assert words is not None and words.done == "First person was dropped at step 3."
+    alone = Session(lambda _, *options: Early("reach", *options), FakePolicy(), speed=None)
+    assert [one.world.step for one in frames(alone, None)] == list(range(8))
 
 
 def test_a_camera_that_was_moved_says_where_it_stood(session: Recorder) -> None:

@@ -19,8 +19,10 @@ from madviz.session.commands import (
     Play,
     Reset,
     Scrub,
+    SetAutoNext,
     SetCamera,
     SetPolicy,
+    SetSpeed,
 )
 from madviz.session.ending import ending_of
 from madviz.session.frame import APART, HandPaths
@@ -147,6 +149,17 @@ def test_a_command_in_mid_replay_is_carried_out_and_the_replay_goes_on() -> None
     paths = session.frames[-1].paths
     assert paths is not None
     np.testing.assert_array_equal(paths.intact, intact())
+
+
+def test_a_replay_that_does_not_go_on_asks_for_no_time() -> None:
+    session = in_mid_replay(SetCamera("first", OFF))
+    assert once(session, SetAutoNext(False), SetSpeed(None)) is None
+    assert session._stage.retracing, "it goes on at another speed"
+
+
+def test_paths_of_two_lengths_are_compared_as_far_as_both_go() -> None:
+    paths = HandPaths(3, np.zeros((3, 3), np.float32), np.ones((5, 3), np.float32))
+    assert paths.apart.shape == (3,) and paths.differ_at == 3
 
 
 def test_a_camera_that_is_moved_meanwhile_is_drawn_at_the_end_of_the_episode() -> None:

@@ -82,6 +82,18 @@ def test_policies_swap_in_mid_episode_and_camera_settings_stay(session: Recorder
     assert session.steps(2).world.step == before.world.step + 2
 
 
+@pytest.mark.parametrize("how", [Occlusion("freeze"), Occlusion("delay", 1.0)])
+def test_another_policy_of_the_same_pictures_changes_nothing_of_a_broken_camera(
+    session: Recorder, how: Occlusion
+):
+    session.steps(3)
+    session.ask(SetCamera("first", CameraState(occlusion=how)))
+    before = session.steps(9).world.arrived["first"]
+    after = session.ask(SetPolicy("toy-other")).world
+    assert after.policy.name == "toy-other"
+    np.testing.assert_array_equal(after.arrived["first"], before)
+
+
 def test_a_camera_that_is_on_again_gives_depth_to_a_policy_that_takes_it(session: Recorder):
     on = CameraState("rgb")  # As in training, for a policy of colour.
     session.ask(SetCamera("third_a", OFF))

@@ -64,7 +64,7 @@ def ending_of(frame: Frame, rate_of: RateOf) -> Ending | None:
     if not frame.ended or frame.past or not frame.world.outcomes:
         return None
     sides = [frame.world, *([frame.second.world] if frame.second is not None else [])]
-    if any(not side.outcomes or side.step < side.env.horizon for side in sides):
+    if any(not (side.outcomes and side.last) for side in sides):
         return None
     outcomes = [side.outcomes[-1] for side in sides]
     if len(outcomes) == 1 and not outcomes[0].deeds:

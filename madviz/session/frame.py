@@ -126,6 +126,8 @@ class TimelinePoint(NamedTuple):
     success: bool
     condition: Condition
     policy: str
+    last: bool
+    """Whether the episode ended there."""
 
 
 @dataclass(frozen=True)
@@ -153,12 +155,13 @@ class HandPaths:
     taken: Array
     """(T, 3) float32 metres, world frame: the path of the episode."""
     intact: Array
-    """(T, 3) likewise, with all cameras."""
+    """(S, 3) likewise, with all cameras."""
 
     @property
     def apart(self) -> Array:
-        """(T,) metres between the two, step by step."""
-        return np.linalg.norm(self.taken - self.intact, axis=1)  # (T, 3) -> (T,)
+        """(min(T, S),) metres between the two, step by step."""
+        both = min(len(self.taken), len(self.intact))
+        return np.linalg.norm(self.taken[:both] - self.intact[:both], axis=1)
 
     @property
     def largest(self) -> float:
@@ -213,6 +216,8 @@ class World:
     success: bool
     """The task's condition at this very step."""
     success_any: bool
+    last: bool
+    """Whether the episode ends at this step; some tasks end at their first success."""
     change: Change | None
     """The last thing done to a camera in this episode."""
     outcomes: tuple[Outcome, ...]
@@ -312,7 +317,7 @@ class Frame:
 
     @property
     def ended(self) -> bool:
-        return self.world.step >= self.decisions
+        return self.world.last
 
     @property
     def decisions(self) -> int:

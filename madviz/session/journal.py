@@ -6,8 +6,8 @@ thread, for a saved session. Two rules make its steps exact:
     A camera touched while step t+1 is being drawn counts at t+1: the decision that led there was
     taken already. One touched between two decisions counts at the step that is shown.
     At one step only a camera's last state matters, because the newest picture arrives anew with
-    every command; so a slider that is dragged leaves one line. Not across a change of policy: that
-    rebuilds what went before under the states of that moment.
+    every command; so a slider that is dragged leaves one line. Not across a change of policy: one
+    that sees other pictures gets the last ones under the states of that moment.
 
 An episode that broke off with an exception may stand between two steps. It is never saved.
 """

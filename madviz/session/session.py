@@ -157,9 +157,10 @@ class Session(LiveSession):
         if self._moving() and now >= self._pace.due and not self._closing.is_set():
             self._guarded(lambda: self._advance(now))
         self._guarded(lambda: self._explain(now))
-        if self._stage.ended and self._pace.speed is not None and not self._error:
+        replays = self._stage.ended and self._pace.speed is not None and not self._error
+        if replays:
             self._guarded(lambda: self._retrace(now))
-        waiting = self._backlog or self._stage.retracing
+        waiting = self._backlog or (replays and self._stage.retracing)
         if waiting or (self._read_all and self._read_more(now)):
             return now
         return self._pace.due if self._moving() else None

@@ -115,6 +115,7 @@ class Simulation:
             total_reward=self.record.total_reward,
             success=now.time.success,
             success_any=self.record.success_any,
+            last=now.time.last,
             change=self.change,
             outcomes=tuple(self.outcomes),
             imagined=imagined(
@@ -280,14 +281,18 @@ class Simulation:
             self.change = Change.between(camera, states, (reading, self._reading()), moved)
 
     def swap(self, policy: Policy) -> None:
-        """Another policy in the same episode; it gets the newest frames as its past. If it gives no
-        answer, the old one stays."""
+        """Another policy in the same episode. It gets the pictures that have arrived, or, where it
+        sees others, the newest frames under the present settings. If it gives no answer, the old
+        one stays."""
         old = self.policy.spec
         ablation = carried(self.ablation, old, policy.spec)
-        past = list(self._recent)[-policy.spec.frame_stack - 1 :]
+        sees, saw = ((one.streams, one.frame_stack, one.image_size) for one in (policy.spec, old))
+        past = [] if sees == saw else list(self._recent)[-policy.spec.frame_stack - 1 :]
         fresh = PolicyInput(policy, self.env.spec, self._wait)
         try:
             fresh.begin(self.seed)
+            if not past:  # A frozen or late camera goes on with the picture that it has.
+                fresh.stack.restore(self.input.stack.snapshot())
             for data in past:
                 fresh.push(data, ablation, self.seed)
             fresh.read(self.now.time.state, ablation.mask(policy.spec.streams))

@@ -42,7 +42,9 @@ class Timeline:
         all after it. A step that is not there yet is taken in either way."""
         world = frame.world
         reward = world.reward if world.recorded is None else from_recorded(frame)
-        now = TimelinePoint(frame.q, reward, world.success, frame.condition, world.policy.name)
+        now = TimelinePoint(
+            frame.q, reward, world.success, frame.condition, world.policy.name, world.last
+        )
         history = [*self._history[: world.step], now]
         if keep or world.step >= len(self._history):
             thin = replace(world, probe=_thin(world.probe))

@@ -235,7 +235,7 @@ def _first(frame: Frame) -> str:
 
 def _outcome(history: Sequence[TimelinePoint], frame: Frame) -> str:
     """How a run ended, or how far it came; success counts at the last step."""
-    if len(history) <= frame.decisions:
+    if not history[-1].last:
         return f'<span class="dim">up to step {len(history) - 1}</span>'
     if frame.world.recorded is not None:
         return "the end"
