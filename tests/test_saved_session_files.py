@@ -17,7 +17,9 @@ from madviz.session.commands import (
     SetCamera,
 )
 from madviz.session.replay import replay_episode
+from madviz.session.session_file import SavedPolicy
 from madviz.session.session_reader import LONGEST, parse, read_session
+from tests.fakes import FakePolicy
 from tests.visitors import find, played, put
 
 
@@ -49,6 +51,8 @@ def document() -> dict[str, Any]:
         ("episodes.0.policy.extra", ""),
         ("episodes.0.task", "../../etc"),
         ("episodes.0.task", 3),
+        ("episodes.0.task", "recording/../etc"),
+        ("episodes.0.cameras.0.name", "third a"),
         ("episodes.0.render_profile", "best"),
         ("episodes.0.ended", "yes"),
         ("episodes.0.cameras", []),
@@ -84,6 +88,16 @@ def test_a_file_that_will_not_do_is_refused_in_one_line(path: str, value: Any) -
     line = str(refused.value)
     assert re.match("saved.json: (expected .+, found .+|unknown word .+; known: .+); save", line)
     assert "\n" not in line and len(line) < 400
+
+
+def test_names_that_a_visitor_may_give_are_read() -> None:
+    """Of a folder of recordings, of a camera in a task of one's own."""
+    for task in ("recording/svla_so101", "recording/Möbel 2", "lab.bench:Task"):
+        assert parse(json.dumps(put(document(), "episodes.0.task", task)).encode(), "x")
+    wrist = json.dumps(document()).replace('"first"', '"Wrist"')
+    assert parse(wrist.encode(), "x").episodes[0].cameras[0].name == "Wrist"
+    saved = SavedPolicy.of(replace(FakePolicy().spec, name="a/b", digest="recorded:plain"))
+    assert saved == SavedPolicy("a-b", "recorded-plain")
 
 
 def test_a_file_from_before_patches_had_two_sides_has_squares() -> None:

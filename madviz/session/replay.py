@@ -243,7 +243,7 @@ def differences(episode: SavedEpisode, saved: SavedSession, find: Finder) -> lis
     """The known differences to here: policies and versions."""
     found = []
     for policy in episode.policies:
-        digest = find(policy).spec.digest
+        digest = SavedPolicy.of(find(policy).spec).digest
         if digest != policy.digest:
             found.append(
                 f"{policy.name} had the digest {policy.digest[:12]}, here it has {digest[:12]}"

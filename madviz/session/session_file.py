@@ -34,6 +34,7 @@ from msgspec import Meta, Struct, structs, to_builtins
 from madviz.errors import UserError
 from madviz.observation.ablation import Ablation, CameraState, Occlusion
 from madviz.observation.displacement import MoveCamera
+from madviz.recorded.known import SUITE
 from madviz.session.commands import SetCamera
 from madviz.system.files import pretty, write_bytes
 from madviz.types import CameraSpec, PolicySpec
@@ -50,10 +51,12 @@ TRACE = 4
 
 PolicyName = Annotated[str, Meta(pattern=r"\A[^/\\:\x00-\x1f\x7f. ][^/\\:\x00-\x1f\x7f]{0,119}\Z")]
 Digest = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9._-]{0,128}\Z")]
-Task = Annotated[
-    str,
-    Meta(pattern=r"\A([a-z0-9]{1,20}/[a-z0-9-]{1,60}|[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60})\Z"),
-]
+_TASKS = (
+    r"[a-z0-9]{1,20}/[a-z0-9-]{1,60}",
+    rf"{SUITE}/[^/\\:\x00-\x1f\x7f]{{1,120}}",  # The name of a folder.
+    r"[A-Za-z0-9_.]{1,120}:[A-Za-z0-9_]{1,60}",
+)
+Task = Annotated[str, Meta(pattern=rf"\A({'|'.join(_TASKS)})\Z")]
 Sha256 = Annotated[str, Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 MOST_STEPS = 10_000
 RenderProfile = Literal["fast", "full"]
@@ -70,9 +73,11 @@ class SavedPolicy(Struct, frozen=True, forbid_unknown_fields=True):
 
     @staticmethod
     def of(spec: PolicySpec) -> SavedPolicy:
-        """Names that would be a path or a module lose what makes them one."""
+        """Names that would be a path or a module lose what makes them one; digests, which a policy
+        of one's own may choose, what a file may not have."""
         name = re.sub(r"[/\\:\x00-\x1f\x7f]", "-", spec.name).strip(" .")[:120]
-        return SavedPolicy(name or "policy", spec.digest)
+        digest = re.sub(r"[^A-Za-z0-9._-]", "-", spec.digest)[:128]
+        return SavedPolicy(name or "policy", digest)
 
 
 @dataclass(frozen=True)

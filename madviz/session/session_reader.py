@@ -44,7 +44,7 @@ LONGEST = 4_000_000
 """Bytes in a file."""
 NEXT = "save the session again, or fix the file"
 
-Name = Annotated[str, Meta(pattern=r"\A[a-z][a-z0-9_]{0,23}\Z")]
+Name = Annotated[str, Meta(pattern=r"\A\w{1,40}\Z")]
 Short = Annotated[str, Meta(pattern=r"\A[^\x00-\x1f\x7f]{1,60}\Z")]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Metres = Annotated[float, Meta(ge=-100, le=100)]
