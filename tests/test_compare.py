@@ -45,6 +45,8 @@ def test_differences_are_those_of_the_paired_episodes(two: tuple[str, str]) -> N
     assert rows["third_b"]["p"] < 1e-20 and rows["third_b"]["ci95"][0] > 0.6
     words = comparison_table(result)
     assert "0.95 - 0.90 = +0.05 [" in words and "n=100   exact p = " in words
+    assert (row["seeds"], row["use"]) == ((5000, 5099), "development")
+    assert words.count("seeds 5000-5099, development") == 4
 
 
 def test_only_the_subsets_asked_for(two: tuple[str, str]) -> None:
@@ -121,6 +123,11 @@ def test_episodes_may_come_from_a_store(
         compare_policies(CompareConfig(two, ("fourth",), store=str(tmp_path / "store.sqlite")))
     with pytest.raises(UserError, match="expected a store of results"):
         compare_policies(CompareConfig(two, store=str(tmp_path / "none.sqlite")))
+    other = Path(two[0]) / "evaluation.json"
+    before = other.read_bytes()
+    with pytest.raises(UserError, match="expected a store of results, found another file"):
+        compare_policies(CompareConfig(two, store=str(other)))
+    assert other.read_bytes() == before, "what is only read is not changed"
 
 
 def test_trainings_that_agree_have_an_interval(

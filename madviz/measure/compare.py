@@ -27,11 +27,12 @@ from madviz.measure.compare_page import write_comparison
 from madviz.measure.episodes import FIRST_SEED, clipped_words
 from madviz.measure.evidence import Evidence, Outcomes, alike, readable
 from madviz.measure.statistics import PairedRow, pair
-from madviz.measure.store import EpisodeResult, ResultKey, Store
+from madviz.measure.store import EpisodeResult, ResultKey, Store, is_store
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.listing import BrokenRow
 from madviz.policies.sb3 import trust
+from madviz.policies.seeds import use_of
 from madviz.subsets import mask_of, name_of
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, Seed, ThreadsOrNone
@@ -92,6 +93,10 @@ class RatesRow(PairedRow):
 
     first: float
     second: float
+    seeds: tuple[int, int]
+    """The first and the last one."""
+    use: str
+    """The use of these seeds, such as reporting."""
 
 
 class ComparisonRow(TypedDict):
@@ -224,6 +229,8 @@ def _row(first: Outcomes, second: Outcomes) -> RatesRow:
     return {
         "first": (paired.both + paired.first_only) / paired.n,
         "second": (paired.both + paired.second_only) / paired.n,
+        "seeds": (min(first), max(first)),
+        "use": use_of(first),
         **paired.row(),
     }
 
@@ -280,8 +287,9 @@ def _outcomes(
 
 
 def _opened(path: str) -> Store:
-    if not Path(path).is_file():
-        raise UserError(f"expected a store of results, found no file {path}; leave --store out")
+    if not is_store(Path(path)):
+        found = "another file" if Path(path).exists() else "none"
+        raise UserError(f"{path}: expected a store of results, found {found}; leave --store out")
     return Store(path)
 
 
@@ -323,7 +331,8 @@ def comparison_table(result: CompareFile | ConditionsFile) -> str:
             low, high = row["ci95"]
             lines.append(
                 f"  {name:24} {row['first']:.2f} - {row['second']:.2f} = {row['difference']:+.2f} "
-                f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}"
+                f"[{low:+.2f}, {high:+.2f}] n={row['n']}   exact p = {row['p']:.2g}   "
+                f"seeds {'-'.join(map(str, row['seeds']))}, {row['use']}"
             )
     for policy in result["policies"]:
         if said := clipped_words(policy.get("outside", 0.0)):

@@ -20,7 +20,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -76,6 +76,18 @@ class ResultKey:
     render_profile: str
     occlusions: str
     subset: str
+
+
+def is_store(path: Path) -> bool:
+    """Whether a file has results of this version; nothing is changed."""
+    if not path.is_file():
+        return False
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
+            db.execute("SELECT 1 FROM episodes_2")
+    except sqlite3.Error:
+        return False
+    return True
 
 
 class Store:
