@@ -382,7 +382,7 @@ def test_eval_command_computes_and_writes_the_card(folder, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_a_card_can_be_filled_in_several_goes(folder, tmp_path):
+def test_a_card_can_be_filled_in_several_goes(folder, tmp_path, capsys):
     copy = tmp_path / "toy"
     shutil.copytree(folder, copy)
     (copy / "evaluation.json").unlink(missing_ok=True)
@@ -393,6 +393,9 @@ def test_a_card_can_be_filled_in_several_goes(folder, tmp_path):
     assert sorted(e["subset"] for e in together["episodes"]) == sorted(["all", "first", "none"] * 2)
     run_eval(EvalConfig(str(copy), ("all",), episodes=2, seed=6, workers=0, card=True))
     assert set(json.loads((copy / "evaluation.json").read_text())["subsets"]) == {"all"}
+    said = "evaluation.json: its 6 episodes from seed 5 on give way to 2 from 6 on\n"
+    heard = capsys.readouterr().err
+    assert said in heard and heard.count("give way") == 1
 
 
 def test_a_card_is_not_written_about_occluded_cameras_or_somebodys_own_code(folder):

@@ -214,8 +214,8 @@ class EvalConfig:
     json: str | None = None
     """Where to write the result; - is standard output."""
     card: bool = False
-    """Also write evaluation.json and card.md into the policy's folder; subsets that were measured
-    there before, and are not now, stay."""
+    """Also write evaluation.json and card.md into the policy's folder. Subsets that were measured
+    there before from the same first seed, and are not now, stay; those from another give way."""
     wire: Path | None = None
     """How a served policy's names and shapes map to ours, a TOML file; madviz serve says it
     itself."""
@@ -272,9 +272,15 @@ def write_measured(folder: Path, new: EvaluationFile) -> None:
             write_json(folder / checkpoint.DEVELOPMENT, known)
         else:
             say(f"{folder}: rates on {before} seeds give way; development.json stays as it is")
+        known = None
     if before in (REPORTING, READ) and now not in (REPORTING, before):
         file = checkpoint.DEVELOPMENT
         known = checkpoint.shipped_evaluation(folder, file)
+    if known and known["digest"] == new["digest"] and known["seed"] != new["seed"]:
+        say(
+            f"{folder / file}: its {len(known['episodes'])} episodes from seed {known['seed']} on "
+            f"give way to {len(new['episodes'])} from {new['seed']} on"
+        )
     write_json(folder / file, joined(known, new))
     seeds = {episode["seed"] for episode in new["episodes"]}
     note_reading(folder, new["policy"], new["task"], new["digest"], seeds)
