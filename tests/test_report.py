@@ -368,6 +368,25 @@ def test_success_while_training_is_drawn_for_reinforcement_learning_only(tmp_pat
     assert "](pictures/reinforcement-toy-reach.svg)" in text and "scratch on toy/reach." in text
 
 
+def test_a_row_that_is_being_written_stops_no_picture(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, GOOD, recipe="paper")
+    curve = "env_steps,episodes,success_all,success_first\n0,6,0.0,0.0\n100,6,0.5,1.0\n200,6,0."
+    (path / "curve.csv").write_text(curve)
+    result, _ = report(tmp_path)
+    assert any("reinforcement" in one for one in result["pictures"])
+
+
+@pytest.mark.parametrize("others", [("merged-only",), ("merged-only", "singular-only")])
+def test_a_policy_on_other_seeds_is_named_and_left_out(
+    others: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left = write_policy(tmp_path, GOOD, first_seed=60_000)
+    for method in others:
+        write_policy(tmp_path, GOOD, method=method, first_seed=10_000)
+    report(tmp_path)
+    assert f"left out, because measured on others: {left}\n" in capsys.readouterr().err
+
+
 def test_no_curve_takes_the_place_of_another(tmp_path: Path) -> None:
     changes: list[dict[str, Any]] = [
         {"recipe": "paper"},

@@ -151,13 +151,10 @@ def _read(path: Path, name: str) -> EvaluationFile:
 
 
 def alike(found: Sequence[Evidence]) -> list[Evidence]:
-    """Policies that can be compared: on seeds of the first use in ``MEASURED`` that all of them
-    have; where they share none, those that were measured on development seeds."""
-    for use in MEASURED:
-        shared = [each for one in found if (each := one.on(use))]
-        if len(shared) == len(found):
-            break
-    return shared
+    """Policies that can be compared: on seeds of the use that most of them have, the first such in
+    ``MEASURED``; others are left out."""
+    shared = [[each for one in found if (each := one.on(use))] for use in MEASURED]
+    return max(shared, key=len)
 
 
 def find_evidence(*roots: str | Path) -> tuple[list[Evidence], list[BrokenRow]]:

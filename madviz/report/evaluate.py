@@ -20,6 +20,7 @@ from madviz.policies import checkpoint
 from madviz.policies.again import RUNS
 from madviz.policies.measured import EvaluationFile, seeds_of
 from madviz.policies.seeds import FIRST_REPORTING, REPORTING
+from madviz.recorded.known import is_recording
 from madviz.system.streams import say
 
 EPISODES = 100
@@ -41,6 +42,9 @@ def evaluate_all(folders: Sequence[Path], episodes: int, workers: int | None) ->
 def _evaluate(path: Path, episodes: int, workers: int | None, store: Store) -> bool:
     """Whether the policy had to be evaluated; its files are new then."""
     try:
+        if is_recording(checkpoint.describe(path).spec.task):
+            say(f"{path}: left out, because recordings know no success")
+            return False
         checkpoint.shipped_evaluation(path, checkpoint.DEVELOPMENT)
         before = checkpoint.shipped_evaluation(path)
     except UserError:

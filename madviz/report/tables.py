@@ -22,6 +22,7 @@ from madviz.envs.registry import METAWORLD_TASKS
 from madviz.measure.evidence import Evidence, alike
 from madviz.report.layouts import Layout, rank
 from madviz.report.rows import Difference, Row, difference
+from madviz.system.streams import say
 
 SUITES = {"metaworld", "maniskill"}
 """Whose tasks have tables; the toy and tasks of a user's own do not."""
@@ -95,16 +96,24 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
         suite = policy.config.task.split("/")[0]
         kinds.setdefault((suite, policy.config.recipe == "light"), []).append((label, policy))
     return [
-        _table(layout, suite, imitation, _same_seeds(kinds[suite, imitation]))
+        _table(layout, suite, imitation, _same_seeds(layout, kinds[suite, imitation]))
         for suite, imitation in sorted(kinds)
         if suite in SUITES
     ]
 
 
-def _same_seeds(chosen: Sequence[tuple[str, Evidence]]) -> list[tuple[str, Evidence]]:
-    """All on seeds of one use."""
+def _same_seeds(
+    layout: Layout, chosen: Sequence[tuple[str, Evidence]]
+) -> list[tuple[str, Evidence]]:
+    """All on seeds of one use; those without are named."""
     labels = {policy.path: label for label, policy in chosen}
-    return [(labels[policy.path], policy) for policy in alike([policy for _, policy in chosen])]
+    same = alike([policy for _, policy in chosen])
+    if lacking := labels.keys() - {policy.path for policy in same}:
+        say(
+            f"{layout.title}: {same[0].seeds} seeds compare most; left out, because measured on "
+            f"others: {', '.join(sorted(map(str, lacking)))}"
+        )
+    return [(labels[policy.path], policy) for policy in same]
 
 
 def _table(

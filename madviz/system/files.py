@@ -166,11 +166,12 @@ def pretty(value: Any) -> str:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file by its first line; none where there is no file."""
+    """The rows of a CSV file by its first line, but those with a field too few, which are being
+    written; none where there is no file."""
     if not path.is_file():
         return []
     with path.open(newline="") as text:
-        return list(csv.DictReader(text))
+        return [row for row in csv.DictReader(text) if None not in row.values()]
 
 
 def read_json(path: Path) -> Any:
