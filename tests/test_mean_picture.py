@@ -1,5 +1,7 @@
 """A camera that sends its mean picture: the same one always, and nothing of the episode."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from madviz.envs.toy import ToyReach
 from madviz.errors import UserError
 from madviz.measure.episodes import run_episode
 from madviz.measure.evaluate import evaluate
-from madviz.measure.mean_picture import EPISODES, FIRST_SEED, PICTURES, mean_pictures
+from madviz.measure.mean_picture import EPISODES, FIRST_SEED, PICTURES, _frames, mean_pictures
 from madviz.observation.ablation import Ablation, Occlusion
 from madviz.observation.condition import Condition
 from madviz.observation.grammar import parse_occlusions
@@ -38,6 +40,22 @@ def test_it_is_the_mean_of_the_experts_pictures(streams):
         assert len(frames) == EPISODES * PICTURES
         assert np.abs(found[stream] - np.mean(frames, 0)).max() <= 0.5
         assert found[stream].dtype == np.uint8
+
+
+class Early(ToyReach):
+    """Ends after ten decisions, as some tasks do at their first success."""
+
+    def step(self, action):
+        return replace(super().step(action), last=self._step == 10)
+
+
+def test_pictures_of_an_episode_that_ends_early_are_from_before_its_end():
+    world = Early()
+    drawn = []
+    view = world.view
+    world.view = lambda camera, size=None: drawn.append(world._step) or view(camera, size)
+    frames = _frames(world, True, FIRST_SEED, world.spec.horizon, STREAMS, 84)
+    assert len(frames) == PICTURES and drawn[-3 * PICTURES :: 3] == [0, 2, 4, 6, 8]
 
 
 def means(*cameras):

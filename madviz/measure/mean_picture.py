@@ -46,23 +46,37 @@ def mean_pictures(env: EnvSpec, streams: tuple[str, ...], size: int = IMAGE_SIZE
     environment of its own with the cameras where ``env`` has them; made at the first call."""
     if env.recorded:
         return recorded_means(recordings_of(env.task), streams, size)[0]
-    sums: dict[str, np.ndarray] = {}
-    steps = {round(env.horizon * number / PICTURES) for number in range(PICTURES)}
+    frames: list[MeanPictures] = []
     with closing(make_env(env.task, env.render_profile, env.cameras)) as world:
         expert = _has_expert(world)
         for seed in range(FIRST_SEED, FIRST_SEED + EPISODES):
-            world.reset(seed)
-            rng = np.random.default_rng(seed)
-            for step in range(max(steps) + 1):
-                if step in steps:
-                    views = {camera: world.view(camera) for camera in cameras_of(streams)}
-                    for stream in streams:
-                        frame = stream_frame(views[camera_of(stream)], stream, world.spec, size)
-                        sums[stream] = sums.get(stream, 0.0) + frame.astype(np.float64)
-                drawn = rng.uniform(-1, 1, env.action_dim).astype(np.float32)
-                world.step(expert_action(world) if expert else drawn)
-    count = EPISODES * len(steps)
-    return {stream: np.round(total / count).astype(np.uint8) for stream, total in sums.items()}
+            frames += _frames(world, expert, seed, env.horizon, streams, size)
+    return {
+        stream: np.round(np.mean([one[stream] for one in frames], axis=0)).astype(np.uint8)
+        for stream in streams
+    }
+
+
+def _frames(
+    world: Environment, expert: bool, seed: int, length: int, streams: tuple[str, ...], size: int
+) -> list[MeanPictures]:
+    """The frames (H, W, C) of ``streams`` at PICTURES steps of an episode of ``length`` decisions.
+    One that ends earlier is played again, so that all of its pictures are from before its end."""
+    steps = {round(length * number / PICTURES) for number in range(PICTURES)}
+    found = []
+    world.reset(seed)
+    rng = np.random.default_rng(seed)
+    for step in range(max(steps) + 1):
+        if step in steps:
+            views = {camera: world.view(camera) for camera in cameras_of(streams)}
+            found.append(
+                {s: stream_frame(views[camera_of(s)], s, world.spec, size) for s in streams}
+            )
+        drawn = rng.uniform(-1, 1, world.spec.action_dim).astype(np.float32)
+        ended = world.step(expert_action(world) if expert else drawn).last
+        if ended and step < max(steps):
+            return _frames(world, expert, seed, step + 1, streams, size)
+    return found
 
 
 def _has_expert(world: Environment) -> bool:

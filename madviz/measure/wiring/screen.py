@@ -72,29 +72,37 @@ def expert_looks(
 ) -> list[ExpertLook]:
     """The looks of the scenes from ``seed`` on, one scene after the other, drawn with each of
     ``sizes``."""
-    horizon = env.spec.horizon
-    steps = [round(share * horizon) for share in LOOKS]
+    scenes = range(seed, seed + SCENES)
+    return [look for one in scenes for look in _looks(env, spec, sizes, one, env.spec.horizon)]
+
+
+def _looks(
+    env: Environment, spec: PolicySpec, sizes: set[int], scene: int, length: int
+) -> list[ExpertLook]:
+    """Those of one scene, of ``length`` decisions. One that ends earlier is played again, so that
+    all of its looks are from before its end."""
+    steps = [round(share * length) for share in LOOKS]
     found = []
-    for scene in range(seed, seed + SCENES):
-        noise = np.random.default_rng(scene)
-        now = env.reset(scene)
-        stacks: dict[int, StreamStack] = {}
-        for step in range(max(steps) + 1):
-            last = min((each for each in steps if each >= step), default=step)
-            if step in (0, max(last - spec.frame_stack + 1, 0)):
-                stacks = {
-                    size: StreamStack(env.spec, spec.streams, spec.frame_stack, size)
-                    for size in sizes
-                }
-            if last - step < spec.frame_stack:
-                for size, stack in stacks.items():
-                    views = {camera: env.view(camera, size) for camera in cameras_of(spec.streams)}
-                    stack.push(views, Ablation(), scene, step)
-            action = np.clip(expert_action(env), -1, 1)
-            if step in steps:
-                pictures = {size: stack.views for size, stack in stacks.items()}
-                found.append(ExpertLook(pictures, now.state, action))
-            now = env.step(np.clip(action + noise.normal(0, NOISE, action.shape), -1, 1))
+    noise = np.random.default_rng(scene)
+    now = env.reset(scene)
+    stacks: dict[int, StreamStack] = {}
+    for step in range(max(steps) + 1):
+        last = min((each for each in steps if each >= step), default=step)
+        if step in (0, max(last - spec.frame_stack + 1, 0)):
+            stacks = {
+                size: StreamStack(env.spec, spec.streams, spec.frame_stack, size) for size in sizes
+            }
+        if last - step < spec.frame_stack:
+            for size, stack in stacks.items():
+                views = {camera: env.view(camera, size) for camera in cameras_of(spec.streams)}
+                stack.push(views, Ablation(), scene, step)
+        action = np.clip(expert_action(env), -1, 1)
+        if step in steps:
+            pictures = {size: stack.views for size, stack in stacks.items()}
+            found.append(ExpertLook(pictures, now.state, action))
+        now = env.step(np.clip(action + noise.normal(0, NOISE, action.shape), -1, 1))
+        if now.last and step < max(steps):
+            return _looks(env, spec, sizes, scene, step + 1)
     return found
 
 
