@@ -17,7 +17,8 @@ from madviz.measure.audit.account import account
 from madviz.measure.audit.audit import AuditConfig, audit, audit_words, command, run_audit
 from madviz.measure.audit.lost_cameras import HOWS, INTACT, Cameras
 from madviz.measure.audit.schedule import AuditPlan
-from madviz.measure.audit.sentences import in_words
+from madviz.measure.audit.sentences import deciding, in_words, makes_no_difference
+from madviz.measure.audit.verdict import LEVEL
 from madviz.measure.blocks import html, markdown
 from madviz.measure.statistics import pair
 from madviz.measure.store import MEMORY, EpisodeResult, Store
@@ -229,6 +230,17 @@ def test_no_difference_is_said_only_where_the_interval_is_narrow(monkeypatch):
     many = audit_words(audit(Looker(streams=THREE), episodes=100, how=("dropped",)))
     assert many.count("so that makes no difference") == 3
     assert many.count(" is redundant: ") == 3 and "alone it has 1.00" in many
+
+
+def test_a_small_loss_that_is_shown_is_not_said_to_make_no_difference(monkeypatch):
+    World(lambda played: 1.0 - (played.subset == "none"), monkeypatch)
+    found = audit(Looker(streams=THREE), episodes=100, how=("dropped",))
+    removed = deciding(found, "first", "removed")
+    assert makes_no_difference(removed)
+    removed |= {"difference": -0.03, "ci_all": (-0.049, -0.007), "p_holm": 0.008}
+    assert makes_no_difference(removed) and removed["p_holm"] <= LEVEL
+    (line,) = [line for line in in_words(found) if line.startswith("First person")]
+    assert "-3 points" in line and "makes no difference" not in line
 
 
 def test_page_and_text_say_the_same_and_load_nothing(monkeypatch):

@@ -5,7 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -38,6 +40,7 @@ from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
 from madviz.types import Array, Encoded, PolicySpec, Readout
+from madviz.wire.wiring import Wiring, checked
 from tests.recordings import TOP, Small, level, png
 
 FEW = LightConfig(rounds=1, updates_per_round=1, batch_size=4, hidden_dim=16)
@@ -278,7 +281,9 @@ def test_the_interval_is_students() -> None:
     assert high == pytest.approx(7 / 3 + 4.30265 * 1.52753 / 3**0.5, abs=1e-4)
 
 
-def test_the_command_writes_a_page_that_never_says_success(bench: Path, tmp_path: Path) -> None:
+def test_the_command_writes_a_page_that_never_says_success(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     train(TrainConfig(recording=bench, out=tmp_path / "mad", light=FEW), lambda _: None)
     config = AuditConfig(str(tmp_path / "mad"), tmp_path / "a", recording=bench, how=("dropped",))
     found = run_audit(config)
@@ -291,8 +296,25 @@ def test_the_command_writes_a_page_that_never_says_success(bench: Path, tmp_path
     command = "madviz explore --recording bench --policy mad --seed 9 --condition top=off"
     assert command in page
     assert "2 episodes are few" in audit_words(found).lower()
+    other = Small(episodes=20, films=False)
+    other.rows["action"] = [0.9 * one for one in other.rows["action"]]
+    tuesday = other.write(tmp_path / "tuesday" / "bench")
+    monkeypatch.setenv(VARIABLE, "")
+    with pytest.raises(UserError, match="expected the recordings bench .* choose another folder"):
+        run_audit(replace(config, recording=tuesday))
+    assert (tmp_path / "a/audit.html").read_text() == page
     with pytest.raises(UserError, match="without --along, --guard and --task"):
         run_audit(AuditConfig(str(tmp_path / "mad"), tmp_path / "b", recording=bench, guard=True))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [{"cameras": {"top.rgb": "t"}}, {"cameras": {"top": "t"}, "modality": "depth"}],
+)
+def test_a_wire_file_asks_recordings_for_colour_alone(bench: Path, words: dict[str, Any]) -> None:
+    table = {"task": allow_recording(bench), "size": 24, "letterbox": True, "state": "s"}
+    with pytest.raises(UserError, match="recordings have colour only, found 'top"):
+        checked(msgspec.convert({**table, "masks": True, **words}, Wiring), "here")
 
 
 def test_a_policy_of_a_simulator_is_refused(bench: Path, tmp_path: Path) -> None:

@@ -53,6 +53,12 @@ class Recordings:
         """16 hexadecimal digits that stand for the numbers of the episode with this index."""
         return _digest(self, episode)
 
+    @property
+    def whole(self) -> str:
+        """16 hexadecimal digits that stand for the numbers of all episodes."""
+        each = "".join(self.digest(one.index) for one in self.episodes)
+        return hashlib.sha256(each.encode()).hexdigest()[:16]
+
     def frames(self, episode: int, size: int) -> Array:
         """(T, V, size, size, 3) uint8, letterboxed: a read-only map of the cache. The first call
         decodes. Raises UserError if a picture is broken or the cache cannot be written."""

@@ -182,6 +182,11 @@ def checked(wiring: Wiring, where: str | Path) -> Wiring:
     if wiring.letterbox and wiring.stretch:
         raise UserError(f"{where}: expected 'letterbox' or 'stretch', found both; drop one")
     for stream in wiring.streams:
+        if "." in stream and is_recording(wiring.task):
+            raise UserError(
+                f"{where}: expected a camera's name alone, because recordings have colour only, "
+                f"found {stream!r:.60}"
+            )
         if "." in stream and stream.partition(".")[2] not in ("rgb", "depth"):
             raise UserError(
                 f"{where}: expected a camera, or one with .rgb or .depth, found {stream!r:.60}"

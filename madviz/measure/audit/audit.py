@@ -258,7 +258,7 @@ def _audit_recording(config: AuditConfig, folder: Path) -> RecordedAuditFile:
     robot = robot or replace(robot_of(recordings), trained_on=frozenset())
     robot.check(recordings)
     _check_folder(config, policy)
-    check_same_policy(config.out, policy, config.seed)
+    check_same_policy(config.out, policy, config.seed, f"{recordings.name} {recordings.whole}")
     audited = RecordedAudit(policy, robot, recordings, env_spec(task), config.how)
     document = recorded_audit(audited, config.episodes, progress=True)
     shown = ["--recording", recordings.name, "--policy", checkpoint.shown(config.policy)]

@@ -1,4 +1,4 @@
-"""policy.json of an audit's folder: the policy and the seed with which the audit began.
+"""policy.json of an audit's folder: the policy, and the seed or the recordings, it began with.
 
 An audit goes on with the episodes of its folder, so it must go on with the same policy. Weights
 have a digest. A policy without one is known by the name that its server says, and by its answer to
@@ -46,11 +46,13 @@ class AuditedPolicy(TypedDict):
     """The action (A,) after a fixed look; None where the digest is enough, or answers differ."""
     seed: int
     """The first episode's."""
+    recording: str
+    """Name and digest of the recordings that it is asked about; '' in a simulator."""
 
 
-def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
+def check_same_policy(out: Path, policy: Policy, seed: int, recording: str = "") -> None:
     """Writes policy.json into the folder ``out``, or compares. Raises UserError where the audit in
-    ``out`` began with another policy or another seed."""
+    ``out`` began with another policy, another seed or another ``recording``."""
     before = _begun(out)
     served = isinstance(policy, ServedPolicy)
     now: AuditedPolicy = {
@@ -60,11 +62,13 @@ def check_same_policy(out: Path, policy: Policy, seed: int) -> None:
         "identity": policy.identity if served else {},
         "answer": None,
         "seed": seed,
+        "recording": recording,
     }
     _compare(out, "policy", before.get("policy"), now["policy"])
     _compare(out, "policy that says", before.get("identity"), now["identity"])
     _compare(out, "policy and wiring with the digest", before.get("digest"), now["digest"])
     _compare(out, "--seed", before.get("seed"), seed)
+    _compare(out, "recordings", before.get("recording"), recording)
     has_digest = policy.has_digest if served else bool(policy.spec.digest)  # Of the weights.
     now["answer"] = None if has_digest else repeated_answer(policy)
     known = before.get("answer")

@@ -127,7 +127,7 @@ def _camera(found: AuditFile, name: str) -> str:
     removed = deciding(found, name, "removed")
     alone = deciding(found, name, "alone")
     without = f"without it success changes by {change(removed)}"
-    if makes_no_difference(removed):
+    if makes_no_difference(removed) and removed["p_holm"] > LEVEL:
         without += ", so that makes no difference"
     if verdict in ("needed", "used"):
         return f"{label} is {verdict}: {without}."
