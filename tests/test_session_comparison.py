@@ -122,7 +122,7 @@ def test_a_policy_of_another_task_has_nothing_to_compare() -> None:
 
 def test_the_tally_counts_each_seed_once_and_one_comparison_only() -> None:
     spec = FakePolicy().spec
-    blank = Outcome(spec, 0, True, True, 0.0, {}, Condition("all"))
+    blank = Outcome(spec, 0, True, {}, Condition("all"))
 
     def ended(seed: int, first: bool, second: bool, subset: str = "all") -> Pair:
         a = replace(blank, seed=seed, success=first, condition=Condition(subset))
@@ -151,7 +151,7 @@ def test_the_panel_says_what_the_pairs_say() -> None:
 def test_the_panel_says_that_sides_differ_when_that_holds_after_every_look() -> None:
     frame = Played()(Compare("toy-mad"), 3)
     spec, condition = frame.world.policy, frame.condition
-    blank = Outcome(spec, 0, True, True, 0.0, {}, condition)
+    blank = Outcome(spec, 0, True, {}, condition)
     for wins, said in ((6, "No difference can be seen yet."), (8, "They differ.")):
         pairs = tuple(
             Pair(replace(blank, seed=seed), replace(blank, seed=seed, success=False))

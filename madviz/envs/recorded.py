@@ -8,7 +8,6 @@ States and actions are scaled by the statistics of the episodes for training (``
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from madviz.envs.checks import check_action, check_size, resized_cameras
 from madviz.errors import UserError
 from madviz.recorded.known import LABEL, SUITE, recordings_of
 from madviz.recorded.moment import RecordedMoment, RecordedState
-from madviz.recorded.recordings import Recordings
 from madviz.recorded.robot import robot_of
-from madviz.recorded.scaling import Scaling
 from madviz.types import (
     Array,
     Body,
@@ -82,9 +79,9 @@ class RecordedRobot:
         episodes = self._found.episodes
         self._episode = episodes[seed % len(episodes)]
         self._raw, actions = self._found.numbers(self._episode.index)
-        of_states, of_actions = scalings(self._found)
-        self._states = of_states.scale(self._raw)  # (T, S)
-        self._actions = of_actions.scale(actions)  # (T, A)
+        robot = robot_of(self._found)
+        self._states = robot.states.scale(self._raw)  # (T, S)
+        self._actions = robot.actions.scale(actions)  # (T, A)
         self._step = 0
         return self._now()
 
@@ -142,9 +139,3 @@ class RecordedRobot:
         row = self._row
         state = RecordedState.of(self._states[row], self._raw[row], self._episode.task)
         return TimeStep(state, 0.0, success=False, last=last)
-
-
-@lru_cache(maxsize=8)
-def scalings(found: Recordings) -> tuple[Scaling, Scaling]:
-    """The scaling of states and of actions."""
-    return found.scalings()

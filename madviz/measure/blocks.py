@@ -79,13 +79,17 @@ def _as_markdown(block: Block) -> str:
 
 def html(blocks: Sequence[Block]) -> str:
     """The account as a page; its first block is its title."""
+    return whole_page(blocks[0].lines[0], _STYLE, "".join(map(_as_html, blocks)))
+
+
+def whole_page(title: str, style: str, body: str) -> str:
+    """HTML that loads nothing from elsewhere."""
     policy = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(blocks[0].lines[0])}</title><style>{_STYLE}</style></head>"
-        f"<body>{''.join(map(_as_html, blocks))}</body></html>\n"
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>{body}</body></html>\n"
     )
 
 

@@ -17,7 +17,7 @@ from madviz.errors import UserError, saving
 from madviz.guard.policy import guard_note
 from madviz.measure.audit.audited_policy import repeats_itself
 from madviz.measure.episodes import check_begin, clipped_words, unsupported
-from madviz.measure.pairs import MOST, in_turns, turned, write_page
+from madviz.measure.pairs import turned, write_page
 from madviz.measure.statistics import PairedRow, SuccessRate, pair
 from madviz.measure.table import Table, seeds_of_run
 from madviz.observation.condition import Condition
@@ -143,7 +143,7 @@ def _show(page: Path, found: ConditionsFile, table: Table, played: Mapping[str, 
         for word in others
     ]
     title = f"{found['policy']}: conditions compared"
-    write_page(page, title, conditions_table(found), in_turns(lists, MOST), table.runner)
+    write_page(page, title, conditions_table(found), lists, table.runner)
 
 
 def conditions_table(result: ConditionsFile) -> str:

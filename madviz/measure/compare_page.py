@@ -8,7 +8,7 @@ from pathlib import Path
 
 from madviz.measure.episodes import Job, Runner
 from madviz.measure.evidence import Evidence, Outcomes
-from madviz.measure.pairs import MOST, in_turns, turned, write_page
+from madviz.measure.pairs import turned, write_page
 from madviz.observation.condition import Condition
 from madviz.policies import checkpoint
 
@@ -39,4 +39,4 @@ def write_comparison(
         for name, rows in table.items()
         for other, outcomes in zip(policies[1:], rows[1:], strict=True)
     ]
-    write_page(page, title, text, in_turns(lists, MOST), Runner())
+    write_page(page, title, text, lists, Runner())

@@ -228,10 +228,10 @@ def in_turns(lists: Sequence[Sequence[EpisodePair]], most: int) -> list[EpisodeP
 
 
 def write_page(
-    file: Path, title: str, text: str, pairs: Sequence[EpisodePair], runner: Runner
+    file: Path, title: str, text: str, lists: Sequence[Sequence[EpisodePair]], runner: Runner
 ) -> None:
-    """A page with the lines of ``text`` and with ``pairs``."""
+    """A page with the lines of ``text`` and with pairs of ``lists`` in turn."""
     with closing(runner):
         blocks = [Block("h1", [title]), Block("list", text.splitlines())]
-        shown = pair_blocks(pairs, runner) or [Block("p", ["No episode turned."])]
+        shown = pair_blocks(in_turns(lists, MOST), runner) or [Block("p", ["No episode turned."])]
         write_bytes(file, html([*blocks, *shown]).encode())

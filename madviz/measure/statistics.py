@@ -72,11 +72,6 @@ class SuccessRate:
         return {"success": self.value, "n": self.n, "ci95": list(self.interval)}
 
     @property
-    def successes(self) -> int:
-        """How many of the ``n`` episodes succeeded."""
-        return round(self.value * self.n) if self.n else 0
-
-    @property
     def without_count(self) -> str:
         """``0.90 [0.79, 0.96]``, where the count of episodes stands beside it."""
         low, high = self.interval

@@ -85,11 +85,15 @@ class Displacement:
         fovy = min(max(2 * math.degrees(math.atan(half)), NARROWEST), WIDEST)
         return replace(camera, position=(x, y, z), wxyz=(w, i, j, k), fovy=fovy)
 
-    def key(self) -> str:
-        """The differences, for a name: ``moved,right=0.1``."""
+    @property
+    def changed(self) -> dict[str, float]:
+        """The fields that say where it went."""
         plain = asdict(Displacement())
-        changed = {name: value for name, value in asdict(self).items() if value != plain[name]}
-        return "moved" + "".join(f",{name}={value:g}" for name, value in changed.items())
+        return {name: value for name, value in asdict(self).items() if value != plain[name]}
+
+    def key(self) -> str:
+        """For a name: ``moved,right=0.1``."""
+        return "moved" + "".join(f",{name}={value:g}" for name, value in self.changed.items())
 
     def words(self) -> str:
         """``0.10 m to the right, turned left 5°``."""

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 from madviz.errors import UserError, unknown
 from madviz.observation.ablation import KINDS, PLACE, Occlusion, by_sides
@@ -193,10 +193,8 @@ def condition_text(condition: Condition, streams: tuple[str, ...]) -> str:
         gone = [camera for camera in cameras_of(streams) if camera not in present]
         parts = [f"{camera}={DROPPED}" for camera in gone]
     parts += [failure_text(camera, occlusion) for camera, occlusion in condition.occlusions]
-    plain = asdict(Displacement())
     for camera, move in condition.moves:
-        changed = {name: value for name, value in asdict(move).items() if value != plain[name]}
-        parts += [f"{camera}.{name}={value:g}" for name, value in changed.items()]
+        parts += [f"{camera}.{name}={value:g}" for name, value in move.changed.items()]
     return (",".join(parts) or "all") + (f"@{condition.begin}" if condition.begin else "")
 
 

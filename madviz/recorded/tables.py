@@ -75,7 +75,8 @@ def column(batches: list[pa.RecordBatch], name: str, path: Path, width: int) -> 
             values = compute.list_flatten(values)
         elif width != 1:
             raise ValueError(f"{values.type}")
-        if values.null_count or not _numeric(values.type):
+        kind = values.type
+        if values.null_count or not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             raise ValueError(f"{values.type} with {values.null_count} empty")
         return np.asarray(values.to_numpy(), np.float64).reshape(-1, width)
     except (ValueError, pa.ArrowException) as error:
@@ -83,10 +84,6 @@ def column(batches: list[pa.RecordBatch], name: str, path: Path, width: int) -> 
         raise UserError(
             f"{path}: expected {name!r} to hold {what} in each row, found {error}"
         ) from error
-
-
-def _numeric(kind: pa.DataType) -> bool:
-    return pa.types.is_integer(kind) or pa.types.is_floating(kind)
 
 
 def _opened(path: Path) -> Any:

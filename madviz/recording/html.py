@@ -14,6 +14,7 @@ import numpy as np
 from madviz.drawing.colours import MERGED_ON_WHITE, colours_on_white
 from madviz.drawing.jpeg import jpeg_url
 from madviz.drawing.mosaic import mosaic
+from madviz.measure.blocks import whole_page
 from madviz.plots.figures import curves
 from madviz.recording.facts import Facts, condition_words
 from madviz.session.camera_names import stream_label
@@ -79,7 +80,6 @@ class HtmlWriter:
 
     def _html(self, last: Frame) -> str:
         title = f"{self._facts.policies or last.world.policy.name}, seed {last.world.seed}"
-        policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
         body = [
             f"<h1>{escape(title)}</h1>",
             _outcome(last),
@@ -88,13 +88,7 @@ class HtmlWriter:
             f"<h2>What it made of it</h2>{self._curves(last)}",
             f"<h2>To make it again</h2><p><code>{escape(self._facts.command)}</code></p>",
         ]
-        return (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-            '<meta name="viewport" content="width=device-width">'
-            f"<title>{escape(title)}</title><style>{_STYLE}</style></head>"
-            f"<body>{''.join(body)}</body></html>\n"
-        )
+        return whole_page(title, _STYLE, "".join(body))
 
     def _strip(self) -> str:
         figures = []

@@ -89,8 +89,6 @@ class EpisodeRecord:
             policy=spec,
             seed=seed,
             success=success,
-            success_any=self.success_any,
-            total_reward=self.total_reward,
             cameras={camera.name: self.worst.get(camera.name, "") for camera in cameras},
             condition=only,
             last=self.last,

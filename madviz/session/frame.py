@@ -85,8 +85,6 @@ class Outcome:
     seed: int
     success: bool
     """At the last step."""
-    success_any: bool
-    total_reward: float
     cameras: dict[str, str]
     """By camera: ``''`` if all was well at every decision, else the worst of ``off``, ``occluded``,
     ``moved``."""

@@ -175,9 +175,8 @@ def sweep(frame: Frame, policy: str) -> str:
     stands, along the first of its axes that it went; the others it leaves as they were."""
     camera = next(c.name for c in frame.world.env.cameras if c.name in frame.world.ablation.moves)
     moved = frame.world.ablation.moves[camera]
-    plain = Displacement()
-    way = next(name for name in RANGES if getattr(moved, name) != getattr(plain, name))
-    low, high = sorted((getattr(plain, way), getattr(moved, way)))
+    way = next(name for name in RANGES if name in moved.changed)
+    low, high = sorted((getattr(Displacement(), way), moved.changed[way]))
     return (
         f"madviz audit --policy {policy} --along {camera}.{way}={low:g}:{high:g} --out audit-{way}"
     )

@@ -60,16 +60,17 @@ class ProjectionPanel(HtmlPanel):
             hidden = not frame.world.probe.merged(frame.row).any()
             return f'<div class="mv mv-map">{NO_FEATURES if hidden else NO_VIEWS}</div>'
         key = frame.world.policy
-        trail = self._note(frame, key)
+        trail = self._note(frame)
         basis = self._atlas.map(key)
         if basis is None:
             return waiting_html(self._atlas.progress(key))
         return map_html(frame, basis, trail, self._height)
 
-    def _note(self, frame: Frame, key: PolicySpec) -> list[Place]:
+    def _note(self, frame: Frame) -> list[Place]:
         """The trail that leads to this time step, which is added to it, and to the map while that
         is being made. A step that is computed again replaces the trail from there on; one that is
         only shown again changes nothing."""
+        key = frame.world.policy
         if self._of != (key, frame.world.episode):
             self._of = (key, frame.world.episode)
             self._trail = []

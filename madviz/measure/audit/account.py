@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from madviz.measure.audit.document import AuditFile, ConditionRow
-from madviz.measure.audit.guarded import GuardedRow, noticed_words
+from madviz.measure.audit.guarded import noticed_words
 from madviz.measure.audit.lost_cameras import HOWS
 from madviz.measure.audit.sentences import (
     HOW_WORDS,
@@ -16,10 +16,10 @@ from madviz.measure.audit.sentences import (
     in_words,
     measured,
     planned,
+    rate_of,
 )
 from madviz.measure.blocks import Block, ending
 from madviz.measure.episodes import clipped_words
-from madviz.measure.statistics import SuccessRate
 from madviz.plots import figures
 
 HOW_TO_READ = (
@@ -78,7 +78,7 @@ def _verdict_rows(found: AuditFile) -> list[list[str]]:
                 verdict,
                 change(removed),
                 f"{removed['p_holm']:.2g}",
-                str(_rate(alone)),
+                str(rate_of(alone)),
                 change(above) if above else "",
                 f"{above['p_holm']:.2g}" if above else "",
             ]
@@ -89,13 +89,14 @@ def _verdict_rows(found: AuditFile) -> list[list[str]]:
 def _condition_row(found: AuditFile, row: ConditionRow) -> list[str]:
     label = condition_label(found, row)
     how = HOW_WORDS[row["how"]]
-    cells = [label, how, str(_rate(row)), change(row), f"{row['p_holm']:.2g}"]
+    cells = [label, how, str(rate_of(row)), change(row), f"{row['p_holm']:.2g}"]
     if "guarded" not in found:
         return cells
     guarded = found["guarded"]["broken"].get(str(row["camera"]), {}).get(row["how"])
     if guarded is None or not broken(row):
         return [*cells, "", ""]
-    return [*cells, str(_rate(guarded)), noticed_words(guarded["noticed"]).removeprefix("noticed ")]
+    noticed = noticed_words(guarded["noticed"]).removeprefix("noticed ")
+    return [*cells, str(rate_of(guarded)), noticed]
 
 
 def condition_label(found: AuditFile, row: ConditionRow) -> str:
@@ -103,11 +104,6 @@ def condition_label(found: AuditFile, row: ConditionRow) -> str:
     if row["camera"] is None:
         return "no camera"
     return f"{found['labels'][row['camera']]} {row['what']}"
-
-
-def _rate(row: ConditionRow | GuardedRow) -> SuccessRate:
-    n = row["n"]
-    return SuccessRate.of(round(row["success"] * n), n)
 
 
 def _shapley(found: AuditFile) -> list[Block]:
@@ -138,5 +134,5 @@ def rates_picture(found: AuditFile) -> str:
 
 
 def _bar(row: ConditionRow) -> figures.Bar:
-    rate = _rate(row)
+    rate = rate_of(row)
     return figures.Bar(rate.value, *rate.interval)

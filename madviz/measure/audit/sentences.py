@@ -6,7 +6,7 @@ import math
 
 from madviz.measure.audit.along import AlongFile
 from madviz.measure.audit.document import AuditFile, ConditionRow, DifferenceRow
-from madviz.measure.audit.guarded import alarms_words, noticed_words
+from madviz.measure.audit.guarded import GuardedRow, alarms_words, noticed_words
 from madviz.measure.audit.verdict import LEVEL, MARGIN
 from madviz.measure.episodes import clipped_words
 from madviz.measure.statistics import SuccessRate
@@ -96,6 +96,11 @@ def change(row: ConditionRow | DifferenceRow) -> str:
     return f"{points(row['difference'], sign=True)} [{low:+d}, {high:+d}]"
 
 
+def rate_of(row: ConditionRow | GuardedRow) -> SuccessRate:
+    n = row["n"]
+    return SuccessRate.of(round(row["success"] * n), n)
+
+
 def makes_no_difference(row: ConditionRow) -> bool:
     """True where the interval that holds for all cameras together lies within ``MARGIN`` of 0."""
     return "ci_all" in row and -MARGIN <= row["ci_all"][0] and row["ci_all"][1] <= MARGIN
@@ -176,10 +181,7 @@ def _guarded(found: AuditFile) -> list[str]:
     if not pairs:
         return [guarded["note"]]
     row, with_guard = max(pairs, key=lambda pair: abs(pair[1]["success"] - pair[0]["success"]))
-    rates = [
-        SuccessRate.of(round(one["success"] * one["n"]), one["n"]).without_count
-        for one in (row, with_guard)
-    ]
+    rates = [rate_of(one).without_count for one in (row, with_guard)]
     subject = f"{HOW_WORDS[row['how']].capitalize()}, {found['labels'][str(row['camera'])]}"
     noticed = noticed_words(with_guard["noticed"])
     alarms = alarms_words(guarded["intact"]["noticed"])

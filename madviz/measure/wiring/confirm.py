@@ -44,18 +44,12 @@ class Comparison:
 
 def compared(as_wired: Played, changed: Played) -> Comparison:
     """Plays scene after scene until a loss, enough wins, or too few scenes for them are left."""
-    found = Comparison(0, 0, 0, 0, 0)
+    pairs: list[tuple[bool, bool]] = []
     for scene in range(MOST_SCENES):
-        before = as_wired(scene)
-        after = changed(scene)
-        found = Comparison(
-            successes=found.successes + after,
-            before=found.before + before,
-            n=found.n + 1,
-            wins=found.wins + (after and not before),
-            losses=found.losses + (before and not after),
-        )
-        left = MOST_SCENES - found.n
-        if found.losses or found.wins == ENOUGH or found.wins + left < ENOUGH:
+        pairs.append((as_wired(scene), changed(scene)))
+        wins = pairs.count((False, True))
+        losses = pairs.count((True, False))
+        if losses or wins == ENOUGH or wins + MOST_SCENES - len(pairs) < ENOUGH:
             break
-    return found
+    before, after = (sum(outcomes) for outcomes in zip(*pairs, strict=True))
+    return Comparison(successes=after, before=before, n=len(pairs), wins=wins, losses=losses)
