@@ -91,7 +91,7 @@ def test_a_file_that_will_not_do_is_refused_in_one_line(path: str, value: Any) -
 
 
 def test_names_that_a_visitor_may_give_are_read() -> None:
-    """Of a folder of recordings, of a camera in a task of one's own."""
+    """A visitor names folders of recordings, and cameras in tasks of one's own."""
     for task in ("recording/svla_so101", "recording/Möbel 2", "lab.bench:Task"):
         assert parse(json.dumps(put(document(), "episodes.0.task", task)).encode(), "x")
     wrist = json.dumps(document()).replace('"first"', '"Wrist"')

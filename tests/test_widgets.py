@@ -133,7 +133,7 @@ def test_it_says_so_when_a_policy_cannot_act() -> None:
 
 
 class Broken(FakePolicy):
-    """Takes a while for its first feature; raises, when it is told to, an error of its author."""
+    """It takes a while for a feature; once it ``breaks``, it raises an error of its author."""
 
     breaks = False
 

@@ -79,7 +79,7 @@ class ResultKey:
 
 
 def is_store(path: Path) -> bool:
-    """Whether a file has results of this version; nothing is changed."""
+    """True for a file that has results of this version; it is only read."""
     if not path.is_file():
         return False
     try:

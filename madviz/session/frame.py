@@ -125,7 +125,7 @@ class TimelinePoint(NamedTuple):
     condition: Condition
     policy: str
     last: bool
-    """Whether the episode ended there."""
+    """True if the episode ended there."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ class World:
     """The task's condition at this very step."""
     success_any: bool
     last: bool
-    """Whether the episode ends at this step; some tasks end at their first success."""
+    """True if the episode ends at this step; some tasks end at their first success."""
     change: Change | None
     """The last thing done to a camera in this episode."""
     outcomes: tuple[Outcome, ...]

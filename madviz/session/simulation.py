@@ -169,7 +169,7 @@ class Simulation:
 
     @property
     def can_act(self) -> bool:
-        """Whether the policy can decide on the cameras that are present."""
+        """True if the policy can decide on the cameras that are present."""
         return bool(self.probe.supported[self.probe.row(self._present)])
 
     def check(self) -> None:

@@ -260,7 +260,7 @@ class Stage:
 
     @property
     def can_act(self) -> bool:
-        """Whether every policy can decide on the cameras that it has."""
+        """True if every policy can decide on the cameras that it has."""
         return all(side.can_act for side in self._sides)
 
     @property
