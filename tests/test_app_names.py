@@ -88,7 +88,7 @@ def test_an_episode_of_two_policies_of_one_name_has_no_condition():
 
 
 def test_pairs_with_another_policy_of_that_name_do_not_count():
-    outcome = Outcome(OWN.spec, 0, True, True, 0.0, {}, Condition("all"))
+    outcome = Outcome(OWN.spec, 0, True, {}, Condition("all"))
     own = Pair(outcome, outcome)
     other = replace(outcome, seed=1)
     shipped = Pair(replace(other, policy=SHIPPED.spec), other)
