@@ -143,6 +143,10 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
         "more than one thing": (f"#policy={MERGED_ONLY}&third_a=off@10&third_a=black@20",),
         "on side B": (f"#policy={MERGED_ONLY}&b.third_a=black@20",),
         "something else than black": (f"#policy={MERGED_ONLY}&third_a=both:noise:0.5@20",),
+        "else than black": (f"#policy={MERGED_ONLY}&third_a=noise:black@20",),
+        "Third A sends something": (f"#policy={MERGED_ONLY}&third_a=depth:black@20",),
+        "than black": (f"#policy={MERGED_ONLY}&third_a=black:9@20",),
+        "no number": (f"#policy={MERGED_ONLY}&third_a=black@20&seed=abc",),
     },
     "01.numbers": {
         "these are the pictures alone": (3 * 9 * 84 * 84,),
@@ -266,6 +270,7 @@ WRONG: dict[str, dict[str, tuple[Any, ...]]] = {
     [
         ("00.link", f"#policy={MERGED_ONLY}&vs=metaworld-hammer-mad-light&third_a=black@20"),
         ("00.link", f"#policy={MERGED_ONLY}&seed=5000&guard=on&a.third_a=both:black@20"),
+        ("00.link", f"#policy={MERGED_ONLY}&third_a=black:0.5@020"),
         ("09.plan", PLAN | {"first_seed": 3_500}),
     ],
 )

@@ -60,7 +60,7 @@ guess.compare("MAD drives the nail in without First person, and Merged Only does
 # Then try, on the same page:
 #
 # 1. Switch *Third A* off instead of *First person*. Who fails now?
-# 2. Switch it on again and open *break or move it*: *black*. The camera now sends a black picture,
+# 2. Switch it on again and press *break …*, then *black*. The camera now sends a black picture,
 #    and its feature stays in the sum. Is that the same as *off*?
 # 3. Press *Run 20* under one condition. Brackets are 95 % intervals: how far can you trust twenty
 #    episodes? Put your count in here; the right bar is the same rate from ten times as many.

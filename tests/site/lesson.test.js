@@ -35,6 +35,7 @@ test('link', () => {
   assert.match(linkLacks(`${own}&vs=${MAD}&b.third_a=black@20`), /side B/);
   assert.equal(linkLacks(`${own}&vs=${MAD}&third_a=both:black@20`), '');
   assert.match(linkLacks(`${own}&third a=black`), /cannot be read/);
+  assert.match(linkLacks(`${own}&third_a=depth:black@20`), /no depth/);
 });
 
 test('three hints each', () => {

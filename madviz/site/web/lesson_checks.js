@@ -62,6 +62,7 @@ export function linkLacks(text) {
   if (event.side === 'second') return 'This happens on side B, which is another policy.';
   if (event.camera !== 'third_a') return 'This is another camera than Third A.';
   if (event.state.input === 'off') return 'Off leaves the sum; black stays in it.';
+  if (event.state.input === 'depth') return 'These policies get no depth.';
   if (event.state.occlusion.kind !== 'black') return 'Third A sends something else than black.';
   return event.step === 20 ? '' : `Third A turns black at step ${event.step}.`;
 }

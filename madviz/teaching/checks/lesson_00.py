@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -15,6 +16,8 @@ WITHOUT_FIRST = "third_a+third_b"
 ALONE = "first"
 NO_EVENTS = ("policy", "vs", "seed", "guard")
 """Parts of a link that do nothing to a camera."""
+BLACK = r"(?:(?:on|both|rgb):)?black(?::(?:0?\.\d{1,6}|[01](?:\.0{0,6})?))?"
+"""A switch, the failure, its strength; the first and the last may be left out."""
 
 
 @exercise(
@@ -62,7 +65,8 @@ def link(link: Any) -> None:
     expect(not camera.startswith("b."), "this happens on side B, which is another policy")
     expect(camera.removeprefix("a.") == "third_a", "this is another camera than Third A")
     what, _, step = deed.partition("@")
-    words = what.split(":")  # A switch, a failure, its strength; each may be left out.
-    expect("off" not in words, "off leaves the sum; black stays in it")
-    expect("black" in words[:2], "Third A sends something else than black")
-    expect(step == "20", f"Third A turns black at step {step or 0}")
+    expect("off" not in what.split(":"), "off leaves the sum; black stays in it")
+    expect(re.fullmatch(BLACK, what), "Third A sends something else than black")
+    expect(step.isdecimal() and int(step) == 20, f"Third A turns black at step {step or 0}")
+    seeds = [value for key, value in parts if key == "seed"]
+    expect(all(seed.isdecimal() for seed in seeds), "the seed of this link is no number")
