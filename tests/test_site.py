@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -172,6 +173,16 @@ def test_the_opening_s_policies_come_first() -> None:
     names = [one.spec.name for one in site.chosen(())]
     assert names[:2] == [site.OPENING["first"], site.OPENING["second"]]
     assert all(site.fits(describe(name)) for name in names)
+
+
+def test_two_trainings_of_one_name_are_refused(tmp_path: Path) -> None:
+    first = describe(site.OPENING["first"]).path
+    for name in ("one", "two"):
+        shutil.copytree(first, tmp_path / name)
+    with pytest.raises(
+        UserError, match="of different names, found .* in .*one and in .*two"
+    ):
+        site.chosen([str(tmp_path / "one"), str(tmp_path / "two")])
 
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:

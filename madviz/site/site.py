@@ -173,6 +173,13 @@ def chosen(names: Sequence[str]) -> list[PolicyFolder]:
                 f"expected policies that sum the features of the three cameras, "
                 f"found {folder.spec.name}; leave it out of --policies"
             )
+    paths: dict[str, Path] = {}
+    for folder in folders:
+        if (other := paths.setdefault(folder.spec.name, folder.path)) != folder.path:
+            raise UserError(
+                f"expected policies of different names, found {folder.spec.name} in {other} and in "
+                f"{folder.path}; leave one out"
+            )
     first = [OPENING["first"], OPENING["second"]]
     return sorted(folders, key=lambda folder: (folder.spec.name not in first, folder.spec.name))
 

@@ -203,6 +203,16 @@ def test_a_policy_that_is_being_loaded_is_named(visit, address):
     assert page.locator("#headline").inner_text() == "Merged Only: Hammer"
 
 
+def test_the_whole_page_opens_with_what_was_embedded(visit, address):
+    page = visit(f"{address}?embed{LINK}")
+    with page.context.expect_page() as opened:
+        page.get_by_text("Open the whole page").click()
+    whole = opened.value
+    whole.wait_for_selector("body[data-ready]")
+    assert f"policy={MAD}" in whole.url and "third_a=off@4" in whole.url
+    assert whole.locator(".board").first.is_visible(), "there are switches to try"
+
+
 def test_a_link_that_is_pasted_into_an_open_page_is_followed(visit, address):
     page = visit(address)
     page.evaluate(f"location.hash = '#policy={MERGED_ONLY}&seed=5002&first=black@2'")

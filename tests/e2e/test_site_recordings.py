@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.static_site import NO_WEBGL, fake_site, served, toy_recording, until
+from tests.e2e.static_site import MAD, NO_WEBGL, fake_site, served, toy_recording, until
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +59,24 @@ def test_a_browser_that_cannot_simulate_plays_recordings(page) -> None:
     page.wait_for_function("() => document.querySelector('.view[data-camera=third_a].off')")
     until(page, "First + Third_B", "table.success tr.current")
     assert page.get_by_role("button", name="Run 20").count() == 0
+
+
+def test_the_simulation_waits_while_a_recording_plays(browser, folder: Path) -> None:
+    """It has the episodes that *Save* writes."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(30_000)
+    workers: list[str] = []
+    page.on("worker", lambda worker: workers.append(worker.url))
+    with served(folder) as url:
+        page.goto(f"{url}#policy={MAD}")
+        until(page, "MAD: Hammer", "#headline")
+        page.evaluate("() => { location.hash = '#policy=toy-mad'; }")
+        assert "A recording" in until(page, "CC BY-NC", ".side .about")
+        page.evaluate(f"() => {{ location.hash = '#policy={MAD}&third_a=off'; }}")
+        until(page, "MAD: Hammer", "#headline")
+        page.wait_for_selector(".view[data-camera=third_a].off")
+        assert len([one for one in workers if one.endswith("worker.js")]) == 1
+        page.close()
 
 
 def test_the_first_scene_is_live_whatever_was_played_before(browser, folder: Path) -> None:

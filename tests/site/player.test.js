@@ -89,11 +89,20 @@ test('what was off before the episode is off from its start', () => {
   assert.deepEqual(brief(player.journals[0]), ['third_a off 0']);
 });
 
+test('going on by itself, chosen after the end, goes on', async () => {
+  const player = played(1);
+  let shown = 0;
+  player.tell = async () => { shown += 1; };
+  await player.obey({kind: 'SetAutoNext', on: true});
+  assert.equal(shown, 1, 'a frame plans what comes');
+});
+
 test('a scene opens with its schedule', async () => {
   const player = played(1);
   const events = [{step: 0, camera: 'first', state: off, side: 'both'}];
   await player.obey({kind: 'Open', base: '', policy: 'mad', seed: 5000, events});
   assert.deepEqual(brief(player.journals[0]), ['first off 0']);
+  assert.equal(player.journals[0][0].from, undefined, 'that is how it begins, and no switch');
   await player.obey({kind: 'Open', base: '', policy: 'mad', seed: 5000});
   assert.deepEqual(player.journals[0], []);
 });

@@ -6,7 +6,8 @@ import test from 'node:test';
 import {noOcclusion} from '../../madviz/site/web/camera_state.js';
 import {readEpisode, savedEpisode, savedSession} from '../../madviz/site/web/saved.js';
 
-const POLICY = {name: 'one', digest: 'd', cameras: [{name: 'first'}, {name: 'third_a'}]};
+const POLICY = {name: 'one', digest: 'd', streams: ['first', 'third_a'],
+  cameras: [{name: 'first'}, {name: 'third_a'}]};
 const PATCH = {kind: 'patch', strength: 1, x: 0.2, y: 0.5, width: 0.4, height: 0.3};
 const EVENTS = [
   {step: 0, camera: 'first', state: {input: 'off', occlusion: noOcclusion()}},
@@ -68,6 +69,7 @@ const WRONG = {
   'a seed that is a text': () => spoilt(one => { one.seed = '5000'; }),
   'an unknown camera': () => spoilt(one => { one.commands[0].camera = '__proto__'; }),
   'an unknown input': () => spoilt(one => { one.commands[0].input = 'x'; }),
+  'depth of a policy of colour': () => spoilt(one => { one.commands[0].input = 'depth'; }),
   'a step below 0': () => spoilt(one => { one.commands[0].step = -1; }),
   'a strength above 1': () => spoilt(one => { one.commands[0].occlusion.strength = 2; }),
   'a move that is far': () => spoilt(one => { one.commands[1].move.right = 50; }),

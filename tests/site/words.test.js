@@ -72,6 +72,9 @@ test('a link is played as far as the site can, with a sentence for the rest', ()
   assert.match(check('#policy=one&seed=9').problems[0], /Seed 9 has no start state/);
   assert.match(check('#policy=one&top=off').problems[0], /has no camera “top”/);
   assert.equal(check('#policy=one&vs=film').scene.vs, null);
+  const blind = check('#policy=one&first=depth&first=off@9');
+  assert.match(blind.problems[0], /gets no depth of “first”/);
+  assert.deepEqual(blind.scene.events.map(({step, state}) => [step, state.input]), [[9, 'off']]);
 });
 
 test('without a simulation there are recordings alone', () => {

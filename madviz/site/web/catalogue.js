@@ -7,6 +7,7 @@
  */
 
 import {setMeanings} from './dom.js';
+import {gives} from './subsets.js';
 
 /** @typedef {import('./messages.js').Manifest} Manifest */
 /** @typedef {import('./link.js').LinkState} LinkState */
@@ -135,7 +136,14 @@ export class Catalogue {
     for (const name of strange) {
       problems.push(`${entry.task_label} has no camera “${name}”; it has ${[...known].join(', ')}.`);
     }
-    let events = ours;
+    const sides = {first: [entry], second: vs ? [vs] : [], both: vs ? [entry, vs] : [entry]};
+    const blind = ours.filter(({side, camera, state}) =>
+      state && sides[side].some(one => !gives(one.streams, camera, state.input)));
+    for (const {camera, state} of blind) {
+      problems.push(`A policy here gets no ${state?.input === 'depth' ? 'depth' : 'colour'} of `
+        + `“${camera}”, so that switch is left out.`);
+    }
+    let events = ours.filter(one => !blind.includes(one));
     if (entry.recorded) {
       const kept = events.filter(({state}) => state && state.occlusion.kind === 'none');
       if (kept.length < events.length) {

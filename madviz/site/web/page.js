@@ -26,7 +26,12 @@ class Page {
     /** @type {import('./engine.js').Engine | null} */
     this.engine = null;
     this.recorded = false;
+    /** The one that acts live, also while recordings play: it has the episodes that *Save* writes.
+     * @type {import('./engine.js').Engine | null} */
+    this.live = null;
     this.ready = false;
+    /** Ends what the page listens to. */
+    this.left = new AbortController();
     /** @type {Standstill | null} */
     this.standstill = null;
     this.explorer = new Explorer(this.catalogue, command => this.engine?.post(command),
@@ -64,14 +69,17 @@ class Page {
   play(scene, mode) {
     const recorded = this.catalogue.find(scene.policy)?.recorded ?? false;
     if (!this.engine || this.recorded !== recorded) {
-      this.engine?.stop();
+      if (recorded) this.live?.post({kind: 'StopRun'});
+      if (recorded) this.live?.post({kind: 'Pause'});
+      else this.engine?.stop();
       this.recorded = recorded;
       this.ready = false;
       this.explorer.setMode('loading');
       this.explorer.many.reset();
       this.standstill?.end();
       this.standstill = new Standstill(words => say(byId('loading-words'), words));
-      this.engine = startEngine(recorded, this.manifest, answer => this.answer(answer));
+      this.engine = recorded ? this.started(true) : this.live ?? this.started(false);
+      if (!recorded) this.live = this.engine;
     }
     this.mode = mode;
     if (this.ready) this.explorer.waitFor(`Loading ${this.catalogue.find(scene.policy)?.label} …`);
@@ -84,6 +92,15 @@ class Page {
     this.explorer.ask(asks);
     this.engine.post({kind: calm() || asks ? 'Pause' : 'Play'});
     if (this.ready) this.explorer.setMode(mode);
+  }
+
+  /** An engine to whose answers the page listens while it is the one that plays.
+   * @param {boolean} recorded @returns {import('./engine.js').Engine} */
+  started(recorded) {
+    const engine = startEngine(recorded, this.manifest, answer => {
+      if (this.engine === engine) this.answer(answer);
+    });
+    return engine;
   }
 
   /** @param {{policy?: string, vs?: string | null}} change From the lists of policies. */
@@ -158,20 +175,22 @@ class Page {
   }
 
   listen() {
+    const {signal} = this.left;
     addEventListener('hashchange', () => {
       if (location.hash !== this.ownHash) this.follow();
-    });
+    }, {signal});
     // The address is the episode's; a link to a place in the page must not change it.
     document.querySelector('.skip')?.addEventListener('click', event => {
       event.preventDefault();
       byId('stage').focus();
-    });
-    setInterval(() => this.remember(), 1000); // Browsers refuse much more than that.
+    }, {signal});
+    const timer = setInterval(() => this.remember(), 1000); // Browsers refuse much more than that.
+    signal.addEventListener('abort', () => clearInterval(timer));
     document.addEventListener('visibilitychange', () => {
       this.engine?.post({kind: 'SetVisible', on: !document.hidden});
       this.explorer.view.wake();
-    });
-    addEventListener('keydown', event => this.key(event));
+    }, {signal});
+    addEventListener('keydown', event => this.key(event), {signal});
   }
 
   /** @param {KeyboardEvent} event */
@@ -202,15 +221,22 @@ class Page {
     const open = make('label', {class: 'button'}, 'Open', file);
     byId('tools').replaceChildren(copy, save, open);
     if (document.body.classList.contains('embed')) {
-      byId('tools').replaceChildren(make('a', {class: 'button', target: '_blank',
-        href: location.pathname, rel: 'noopener'}, 'Open the whole page'));
+      const whole = make('a', {class: 'button', target: '_blank', href: location.pathname,
+        rel: 'noopener', onclick: () => { whole.href = location.pathname + this.hash(); }},
+      'Open the whole page');
+      byId('tools').replaceChildren(whole);
     }
+  }
+
+  /** The present state as the end of an address; '' where nothing plays yet. */
+  hash() {
+    const state = this.explorer.state();
+    return state ? formatLink(state) : '';
   }
 
   /** @param {HTMLButtonElement} button */
   async copy(button) {
-    const state = this.explorer.state();
-    const address = new URL(state ? formatLink(state) : '', location.href).href;
+    const address = new URL(this.hash(), location.href).href;
     try {
       await navigator.clipboard.writeText(address);
       say(button, 'Copied');
@@ -258,6 +284,7 @@ function download(text) {
  */
 function showRecordings(manifest, before) {
   before?.engine?.stop();
+  before?.left.abort();
   start(new Page(manifest, false));
 }
 

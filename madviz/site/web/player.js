@@ -90,7 +90,7 @@ export class Player {
         if (this.phase !== 'ended') this.phase = 'paused';
         return this.advance();
       case 'SetSpeed': this.speed = command.rate; return undefined;
-      case 'SetAutoNext': this.autoNext = command.on; return undefined;
+      case 'SetAutoNext': this.autoNext = command.on; return this.tell();
       case 'SetGuard': case 'SetVisible': case 'SetReadout': case 'StopRun': return undefined;
       default: throw new Error('it cannot do that; choose a policy that acts live');
     }
@@ -121,13 +121,14 @@ export class Player {
     this.episode += 1;
     if (this.phase === 'ended') this.phase = 'playing';
     this.cameras.forEach((cameras, index) => {
-      for (const event of this.schedule.filter(one => covers(one.side, index))) {
-        if (event.camera in cameras) cameras[event.camera] = intact();
+      for (const {camera, state, step} of this.schedule.filter(one => covers(one.side, index))) {
+        const begins = step === 0 && state ? {input: state.input} : {};
+        if (camera in cameras) cameras[camera] = {...intact(), ...begins};
       }
       this.journals[index] = Object.entries(cameras).filter(([, state]) => state.input === 'off')
         .map(([camera, state]) => ({step: 0, camera, state}));
     });
-    return this.apply();
+    return this.tell();
   }
 
   /** Failures that come by themselves at this step. */

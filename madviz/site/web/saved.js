@@ -6,6 +6,7 @@
  * driver give other last bits. Files come from anybody, so everything in them is checked.
  */
 import {noOcclusion} from './camera_state.js';
+import {gives} from './subsets.js';
 
 /** @typedef {import('./messages.js').CameraEvent} CameraEvent */
 /** @typedef {import('./messages.js').SitePolicy} SitePolicy */
@@ -124,6 +125,7 @@ function readCommand(found, spec) {
   check(cameras.includes(camera), `a camera of ${cameras.join(', ')}`);
   if (move !== undefined) return {step, camera, move: move === null ? null : readMove(move)};
   check(INPUTS.includes(input), `an input of ${INPUTS.join(', ')}`);
+  check(gives(spec.streams, camera, input), `an input that ${spec.name} gets of ${camera}`);
   if (occlusion === undefined) return {step, camera, state: {input, occlusion: noOcclusion()}};
   check(isObject(occlusion), 'an occlusion');
   const {size} = occlusion;

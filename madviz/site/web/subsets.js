@@ -23,6 +23,17 @@ export function present(streams, cameras) {
 }
 
 /**
+ * Whether a policy of these streams gets what a switch is to give.
+ * @param {string[]} streams
+ * @param {string} camera
+ * @param {CameraState['input']} input
+ */
+export function gives(streams, camera, input) {
+  return input === 'off' || input === 'both'
+    || streams.some(stream => cameraOf(stream) === camera && modalityOf(stream) === input);
+}
+
+/**
  * The shortest name: one word if there is one, otherwise `a+b`.
  * @param {boolean[]} mask
  * @param {string[]} streams
