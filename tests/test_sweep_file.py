@@ -105,6 +105,22 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
             "expected 'eval.episodes' to be a whole number or nothing, found 'many'",
         ),
         (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nepisodes = 0\n',
+            "expected 'eval.episodes' to be a whole number >= 1",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nsubsets = []\n',
+            "expected 'eval.subsets' to be a list of",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\nseeds = [-1]\n',
+            r"expected 'grid.seeds\[0\]' to be a whole number >= 0",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[grid.train]\nlight.alpha = []\n',
+            "expected values for light.alpha, found none",
+        ),
+        (
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nsubsets = ["frist"]\n',
             "unknown camera subset 'frist'; did you mean first",
         ),

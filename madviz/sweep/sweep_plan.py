@@ -47,6 +47,7 @@ from madviz.training.config import TrainConfig, recipe_of
 
 FIX = "fix the sweep file"
 Names = Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+SeedNumber = Annotated[int, msgspec.Meta(ge=0)]
 Table = dict[str, Any]
 """A TOML table whose words are another command's options."""
 
@@ -58,7 +59,7 @@ class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     methods: Names
     settings: Names = ("three",)
     recipes: Names = ("light",)
-    seeds: Annotated[tuple[int, ...], msgspec.Meta(min_length=1)] = (1,)
+    seeds: Annotated[tuple[SeedNumber, ...], msgspec.Meta(min_length=1)] = (1,)
     """The seeds of training."""
     train: Table = {}
     """More options of ``madviz train``; a list is one more axis."""
@@ -69,9 +70,9 @@ class Grid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class EvalOptions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
     """The table ``[eval]``: options of ``madviz eval``."""
 
-    episodes: int | None = None
-    seed: int | None = None
-    subsets: list[str] | None = None
+    episodes: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    seed: SeedNumber | None = None
+    subsets: Annotated[list[str], msgspec.Meta(min_length=1)] | None = None
 
 
 class SweepFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -114,6 +115,9 @@ def _expand(path: Path, grid: Grid, evaluation: tuple[str, ...]) -> list[Run]:
     _check(grid)
     _check_options(path, options, grid.recipes)
     varied = {key: value for key, value in options.items() if isinstance(value, list)}
+    for key, values in varied.items():
+        if not values:
+            raise UserError(f"{path}: expected values for {key}, found none; leave it out")
     if grid.name and varied:
         raise UserError(
             f"{path}: expected one value for each option of the grid named {grid.name!r}, found a "
