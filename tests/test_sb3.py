@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -60,6 +61,14 @@ def nobody_trusts(monkeypatch):
 def test_nothing_is_loaded_that_nobody_trusts(model):
     with pytest.raises(UserError, match="runs code when it is loaded.*--trust"):
         load_policy(f"sb3:{model[1]}@toy/reach")
+
+
+def test_a_name_without_zip_is_the_file_with_it(model, monkeypatch):
+    trust(f"sb3:{model[1].with_suffix('')}@toy/reach", True)
+    assert os.environ[VARIABLE].endswith("ppo.zip")
+    names = (model[1].with_suffix(""), model[1])
+    short, whole = (load_policy(f"sb3:{name}@toy/reach").spec for name in names)
+    assert short == whole
 
 
 def test_it_acts_here_as_it_acts_in_its_own_program(model):

@@ -166,11 +166,12 @@ def _broken(file: Path, error: Exception) -> UserError:
 
 def _parts(policy: str) -> tuple[Path, Path | None, str]:
     """File, file of statistics, and task, '' where there is none. A folder of the file may have an
-    @ in its name."""
+    @ in its name. As Stable-Baselines3 does, a name without .zip is taken for the file with it."""
     words = policy.removeprefix(PREFIX)
     files, _, task = words.rpartition(AT) if AT in words else (words, "", "")
     file, plus, statistics = files.partition(PLUS)
-    return Path(f"{file}.zip" if plus else file), Path(statistics) if plus else None, task
+    whole = plus or (not Path(file).is_file() and Path(f"{file}.zip").is_file())
+    return Path(f"{file}.zip" if whole else file), Path(statistics) if plus else None, task
 
 
 def _trusted() -> list[str]:
