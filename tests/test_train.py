@@ -79,6 +79,14 @@ def test_the_command_on_the_card_says_what_was_not_default() -> None:
     assert "batch-size" not in words
 
 
+def test_a_critic_that_learned_nothing_has_no_q(tmp_path: Path, inline: None) -> None:
+    light = replace(TINY, critic_updates=0)
+    policy = load_policy(train(TrainConfig("toy/reach", out=tmp_path / "run", light=light)))
+    views = np.zeros((3, 9, 84, 84), np.uint8)
+    readout = policy.read(policy.encode(views, np.zeros(6, np.float32)), np.ones((1, 3), bool))
+    assert np.isfinite(readout.action).all() and np.isnan(readout.q).all()
+
+
 def test_a_run_is_a_policy_that_loads_and_a_curve(tmp_path: Path) -> None:
     events: list[Event] = []
     folder = train(

@@ -212,8 +212,9 @@ def load_policy(policy: str | Path) -> Policy:
     networks = networks_of(config, text, path / CONFIG)
     agent = _agent(path, config, networks, weights)
     spec = config.spec(digest(hashlib.sha256(weights).hexdigest(), text))
-    # No rewards were recorded, so the critic has learned nothing: its Q is not shown.
-    scale = nan if is_recording(config.task) else config.reward_scale
+    # A critic that has learned nothing, for want of rewards or of updates: its Q is not shown.
+    untaught = is_recording(config.task) or config.training.critic_updates == 0
+    scale = nan if untaught else config.reward_scale
     return TorchPolicy(spec, agent, scale)
 
 
