@@ -20,6 +20,7 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import load_policy
 from madviz.runs.demonstrations import Dataset, Driver, Episode, record_episode
 from madviz.runs.run_folder import RunFolder
+from madviz.training.kept_episodes import episode_files
 from madviz.training.light import LightConfig, LightRun, imitation_loss, run_rounds, train_light
 from madviz.training.light_critic import GAMMA, STEPS, fit_critic, n_step_returns
 from madviz.types import Array
@@ -220,6 +221,14 @@ def test_more_than_a_hundred_episodes_come_back_in_order(tmp_path: Path) -> None
     run.add([replace(episode, rewards=numbers[n : n + 1]) for n in range(101)], 0, [])
     again.restore(run.state())
     assert np.array_equal(again.data.column("rewards", np.arange(101)), numbers)
+
+
+def test_episodes_of_a_run_that_never_began_are_none_of_the_next(tmp_path: Path) -> None:
+    few = replace(TINY, demonstrations=1)
+    for config in (replace(TINY, demonstrations=3), few):
+        run = LightRun(toy_plan(), config, tmp_path)
+        run.add([record_episode(ToyReach(), THREE, Driver(), 1)] * config.demonstrations, 0, [])
+    assert [len(files) for files in episode_files(tmp_path / "episodes").values()] == [1]
 
 
 def test_a_state_of_an_older_version_is_refused_in_words(tmp_path: Path) -> None:

@@ -59,6 +59,13 @@ class NoExpert(ToyReach):
         raise NotImplementedError("no expert")
 
 
+def sized(size: int) -> ToyReach:
+    env = ToyReach()
+    cameras = tuple(replace(camera, size=size) for camera in env.spec.cameras)
+    env.spec = replace(env.spec, cameras=cameras)
+    return env
+
+
 class Fixed(ToyReach):
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "spec" and hasattr(self, "spec"):
@@ -74,6 +81,8 @@ MAKERS: dict[str, tuple[Callable[[], ToyReach], str]] = {
     "word": (lambda: named("all", "left", "right"), "none of them all, .*found 'all'"),
     "dot": (lambda: named("images.top", "left", "right"), "found 'images.top'; rename"),
     "twice": (lambda: named("left", "left", "right"), "each once, .*found 'left'"),
+    "large": (lambda: sized(640), "cameras of 16 to 512 pixels a side, found first of 640"),
+    "small": (lambda: sized(8), "found first of 8"),
     "start": (lambda: states(start=(77,)), "state_numbers from 0 to 5, found 77"),
     "angles": (lambda: states(angles=(6,)), "state_numbers from 0 to 5, found 6"),
     "before": (lambda: states(changes=((0, -1),)), "state_numbers from 0 to 5, found -1"),

@@ -251,7 +251,7 @@ def stored_discounts(tmp_path: Path, config: PaperConfig) -> list[float]:
 
 
 def test_a_run_explores_uniformly_and_begins_with_the_temperature_asked_for(tmp_path: Path) -> None:
-    config = replace(TINY, temperature=0.37, steps=600, exploration_steps=600, eval_every=10**6)
+    config = replace(TINY, temperature=0.37, steps=601, exploration_steps=600, eval_every=10**6)
     plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
     env = ToyReach()
     env.spec = replace(env.spec, horizon=HORIZON)
@@ -265,6 +265,13 @@ def test_a_run_explores_uniformly_and_begins_with_the_temperature_asked_for(tmp_
     actions = np.array(done)
     assert actions.shape == (600, 2) and (np.abs(actions) <= 1).all()
     np.testing.assert_allclose(np.quantile(actions, [0.1, 0.5, 0.9]), [-0.8, 0, 0.8], atol=0.1)
+
+
+def test_a_run_that_would_learn_nothing_is_refused(tmp_path: Path) -> None:
+    config = replace(TINY, steps=600, exploration_steps=600)
+    plan = toy_plan(recipe="paper", streams=("first", "third_a"), horizon=HORIZON, hidden_dim=8)
+    with pytest.raises(UserError, match="more steps than the 600 of exploration, found 600"):
+        new_run(plan, config, RunFolder(tmp_path, config, False, None))
 
 
 def test_bootstrapping_at_the_time_limit_is_a_switch(tmp_path: Path) -> None:

@@ -179,9 +179,7 @@ def test_two_trainings_of_one_name_are_refused(tmp_path: Path) -> None:
     first = describe(site.OPENING["first"]).path
     for name in ("one", "two"):
         shutil.copytree(first, tmp_path / name)
-    with pytest.raises(
-        UserError, match="of different names, found .* in .*one and in .*two"
-    ):
+    with pytest.raises(UserError, match="of different names, found .* in .*one and in .*two"):
         site.chosen([str(tmp_path / "one"), str(tmp_path / "two")])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from madviz.errors import UserError
 from madviz.types import Array, CameraSpec, Environment, EnvSpec
 
+MIN_SIZE = 16
 MAX_SIZE = 512
 """The largest view in pixels; policies and the page need no more."""
 MAX_FULL = 1024

@@ -19,7 +19,7 @@ import re
 from dataclasses import replace
 
 from madviz.envs.cameras import RESERVED
-from madviz.envs.checks import resized_cameras
+from madviz.envs.checks import MAX_SIZE, MIN_SIZE, resized_cameras
 from madviz.errors import UserError
 from madviz.system.plugins import made_by
 from madviz.types import CameraSpec, Environment, EnvSpec
@@ -103,14 +103,20 @@ def _made(task: str) -> Environment:
 
 
 def _check_spec(task: str, spec: EnvSpec) -> None:
-    """Raises UserError for cameras that no subset could name, and for columns of the state that it
-    does not have."""
+    """Raises UserError for cameras that no subset could name or no policy could have, and for
+    columns of the state that it does not have."""
     names = [camera.name for camera in spec.cameras]
     for name in names:
         if name in RESERVED or not re.fullmatch(r"\w{1,40}", name) or names.count(name) > 1:
             raise UserError(
                 f"{task}: expected cameras whose names have letters, digits and _ alone, each "
                 f"once, none of them {', '.join(RESERVED)}; found {name!r:.60}; rename it"
+            )
+    for camera in spec.cameras:
+        if not MIN_SIZE <= camera.size <= MAX_SIZE:
+            raise UserError(
+                f"{task}: expected cameras of {MIN_SIZE} to {MAX_SIZE} pixels a side, found "
+                f"{camera.name} of {camera.size}"
             )
     for number in spec.state_numbers.named:
         if not 0 <= number < spec.state_dim:

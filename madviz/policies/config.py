@@ -32,6 +32,7 @@ from msgspec import Meta
 
 from madviz.agent.merges.merge_table import MERGES, own_options
 from madviz.agent.sizes import NetworkConfig
+from madviz.envs.checks import MAX_SIZE, MIN_SIZE
 from madviz.errors import UserError, unknown
 from madviz.observation.streams import IMAGE_SIZE
 from madviz.subsets import camera_of, cameras_of, mask_of
@@ -244,10 +245,10 @@ def _checked(document: Document, where: Path) -> PolicyConfig:
                 f"{where}: networks that cannot be built: {unknown('size', name, sizes)}"
             )
     for camera in config.cameras:
-        if not 16 <= camera.size <= 512:
+        if not MIN_SIZE <= camera.size <= MAX_SIZE:
             raise UserError(
-                f"{where}: expected the size of camera {camera.name} from 16 to 512 pixels, found "
-                f"{camera.size}; {FIX}"
+                f"{where}: expected the size of camera {camera.name} from {MIN_SIZE} to {MAX_SIZE} "
+                f"pixels, found {camera.size}; {FIX}"
             )
     cameras = {camera.name for camera in config.cameras}
     if not config.streams or not all(camera_of(s) in cameras for s in config.streams):

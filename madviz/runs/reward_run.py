@@ -23,6 +23,7 @@ from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.update import generator_state, restore_generator
+from madviz.errors import UserError
 from madviz.measure.episodes import Stopped
 from madviz.measure.store import EpisodeResult
 from madviz.policies.config import TrainingRecord
@@ -97,6 +98,11 @@ class RewardRun(Generic[Learns, Options]):
             device=where,
         )
         self.rng = np.random.default_rng(plan.seed)
+        if config.exploration_steps >= config.steps:
+            raise UserError(
+                f"expected more steps than the {config.exploration_steps} of exploration, found "
+                f"{config.steps}: nothing would be learned; say fewer exploration-steps"
+            )
         self.step = 0
         self.updates = 0
         self.drawn = 0

@@ -268,8 +268,8 @@ class _Worker:
         self._process.join(timeout=5)
         return UserError(
             "expected the processes that step environments to live, found one dead (exit code "
-            f"{self._process.exitcode}); out of memory? try fewer workers and go on "
-            "with --resume (a script needs `if __name__ == '__main__':` around what it runs)"
+            f"{self._process.exitcode}); out of memory? try fewer workers, with --resume and "
+            "the same --threads (a script needs `if __name__ == '__main__':` around what it runs)"
         )
 
 

@@ -139,6 +139,10 @@ class LightRun:
     ) -> None:
         """Adds a round's episodes, which went as ``planned``, to the data and to the run folder."""
         self._episodes.mkdir(exist_ok=True)
+        if round_index == 0 and self._kept is None:  # What a run left that never began.
+            for files in episode_files(self._episodes).values():
+                for file in files:
+                    file.unlink()
         for number, episode in enumerate(episodes):
             if self._kept is None:
                 episode.save(self._episodes / f"{round_index:03d}-{number:02d}.npz")
