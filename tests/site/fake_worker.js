@@ -39,11 +39,6 @@ async function obey(command) {
     SetSchedule: () => { schedule = command.events; apply(); },
     SetCamera: () => set(command.side, command.camera, command.state),
     MoveCamera: () => move(command.side, command.camera, command.move),
-    SetPolicy: () => { sides[0] = side(command.name); begin(seed); },
-    Compare: () => {
-      sides = [sides[0], ...(command.policy ? [side(command.policy)] : [])];
-      begin(seed);
-    },
     RunMany: () => runMany(command.episodes), StopRun: () => {},
     Save: () => say({kind: 'Saved', text: JSON.stringify({schema: 1, made_by: 'site', seed})}),
     Replay: () => { JSON.parse(command.text); throw new Error('expected a saved session'); },
@@ -215,8 +210,7 @@ function tell() {
   number += 1;
   const worlds = sides.map(world);
   say({kind: 'Frame', number, phase, speed, rate: 9.4, auto_next: autoNext, first: worlds[0],
-    second: worlds[1] ?? null, outcomes: [...outcomes],
-    timings: {physics: 1, pictures: 2, policy: 3, readout: 4}});
+    second: worlds[1] ?? null, outcomes: [...outcomes]});
   if (phase === 'playing' && visible) {
     timer = setTimeout(() => { advance(); tell(); }, 1000 / (speed ?? 60));
   }

@@ -1,6 +1,7 @@
 /**
  * Episodes of one or two simulations in lock-step, one after another or many in a row.
  */
+import {covers} from './camera_state.js';
 import {Drawing} from './drawing.js';
 import {buffersOf, Pace} from './pace.js';
 import {refusal} from './refusals.js';
@@ -64,7 +65,7 @@ export class Episodes {
     this.retraces = [];
     for (const [i, one] of this.sides.entries()) {
       const first = this.scheduled(i, 0);
-      one.restore(this.schedule.filter(event => covers(event, i)));
+      one.restore(this.schedule.filter(event => covers(event.side, i)));
       one.episode = this.episode - 1;
       await one.begin(seed, first);
     }
@@ -160,7 +161,7 @@ export class Episodes {
    * @param {number} step
    */
   scheduled(index, step) {
-    return this.schedule.filter(event => event.step === step && covers(event, index));
+    return this.schedule.filter(event => event.step === step && covers(event.side, index));
   }
 
   async readAll() {
@@ -194,16 +195,7 @@ export class Episodes {
       first: first.world(),
       second: second ? second.world() : null,
       outcomes: this.outcomes,
-      timings: {...first.timings},
     };
     this.say(frame, buffersOf(frame));
   }
-}
-
-/**
- * @param {ScheduledEvent} event
- * @param {number} index
- */
-function covers({side}, index) {
-  return side === 'both' || side === (index === 0 ? 'first' : 'second');
 }

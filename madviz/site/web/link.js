@@ -18,7 +18,7 @@
  * left out, and a sentence says so.
  */
 
-import {intact} from './camera_state.js';
+import {INPUTS, KINDS, intact} from './camera_state.js';
 
 /** @typedef {import('./messages.js').CameraEvent} CameraEvent */
 /** @typedef {import('./messages.js').CameraState} CameraState */
@@ -37,8 +37,6 @@ import {intact} from './camera_state.js';
  */
 
 const LONGEST = 8000, MOST_EVENTS = 200, LAST_STEP = 9999, LAST_SEED = 2 ** 31 - 1;
-const INPUTS = ['rgb', 'depth', 'both', 'off'];
-const KINDS = ['none', 'black', 'noise', 'freeze', 'blur', 'patch'];
 /** @type {[keyof Displacement, number, number][]} */
 const AXES = [
   ['forward', -1, 1], ['right', -1, 1], ['up', -1, 1],

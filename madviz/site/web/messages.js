@@ -55,7 +55,7 @@
 // --- Commands: page to worker -------------------------------------------------------------------
 
 /**
- * Which simulation is meant. Without `Compare` there is `first` alone.
+ * Which simulation is meant. Where `Open` names no second policy, there is `first` alone.
  * @typedef {'first' | 'second' | 'both'} Side
  */
 
@@ -70,11 +70,6 @@
 /**
  * A camera stands elsewhere from now on; null puts it back.
  * @typedef {{kind: 'MoveCamera', side: Side, camera: string, move: Displacement | null}} MoveCamera
- */
-/**
- * Another policy on that side, by its name in the manifest. Another task begins a new episode;
- * camera settings stay.
- * @typedef {{kind: 'SetPolicy', side: Side, name: string}} SetPolicy
  */
 /**
  * Starts the episode of this seed, one of the task's in the manifest.
@@ -94,11 +89,6 @@
 /**
  * Whether the next seed starts by itself some seconds after an episode is over.
  * @typedef {{kind: 'SetAutoNext', on: boolean}} SetAutoNext
- */
-/**
- * A second simulation in lock-step with the first, on the same seeds; null ends it. Begins the
- * episode again on both sides.
- * @typedef {{kind: 'Compare', policy: string | null}} Compare
  */
 /**
  * Whether a camera that fails is noticed and left out, on all sides whose policy has a fitted guard;
@@ -138,8 +128,8 @@
  */
 
 /**
- * @typedef {Open | SetCamera | MoveCamera | SetPolicy | SetSeed | Play | Pause | StepOnce | Reset
- *   | SetSpeed | SetAutoNext | Compare | SetGuard | SetSchedule | SetReadout | RunMany | StopRun | Save
+ * @typedef {Open | SetCamera | MoveCamera | SetSeed | Play | Pause | StepOnce | Reset
+ *   | SetSpeed | SetAutoNext | SetGuard | SetSchedule | SetReadout | RunMany | StopRun | Save
  *   | Replay | SetVisible} Command
  */
 
@@ -268,11 +258,6 @@
  */
 
 /**
- * Milliseconds of the newest decision of one side.
- * @typedef {{physics: number, pictures: number, policy: number, readout: number}} Timings
- */
-
-/**
  * One time step of all sides, complete. Array buffers are transferred, so they belong to the page.
  * @typedef {object} Frame
  * @property {'Frame'} kind
@@ -284,7 +269,6 @@
  * @property {World} first
  * @property {World | null} second
  * @property {Outcome[]} outcomes The last live episodes of all sides, oldest first, 200 at most.
- * @property {Timings} timings
  */
 
 /** @typedef {Progress | Ready | Problem | Saved | SceneFiles | Run | Frame} Answer */

@@ -7,7 +7,7 @@
  * that this is a recording. A command that no recording can obey is answered by a sentence.
  */
 
-import {intact} from './camera_state.js';
+import {covers, intact} from './camera_state.js';
 import {loadEpisode, worldAt} from './recording.js';
 
 /** @typedef {import('./recording.js').JournalEvent} JournalEvent */
@@ -70,12 +70,6 @@ export class Player {
         this.schedule = command.events ?? [];
         await this.begin(command.seed);
         return this.onAnswer({kind: 'Ready', seconds: 0, backend: 'recorded', events: this.schedule});
-      case 'SetPolicy':
-        this.choose([command.name, ...this.sides.slice(1).map(one => one.policy)]);
-        return this.begin(this.seed);
-      case 'Compare':
-        this.choose([this.sides[0].policy, ...(command.policy ? [command.policy] : [])]);
-        return this.begin(this.seed);
       case 'SetSeed': return this.begin(command.seed);
       case 'Reset': return this.begin(command.next_seed ? this.nextSeed() : this.seed);
       case 'SetCamera':
@@ -172,8 +166,7 @@ export class Player {
     this.number += 1;
     this.onAnswer({kind: 'Frame', number: this.number, phase: this.phase, speed: this.speed,
       rate: this.speed ?? 30, auto_next: this.autoNext, first: worlds[0],
-      second: worlds[1] ?? null, outcomes: [],
-      timings: {physics: 0, pictures: 0, policy: 0, readout: 0}});
+      second: worlds[1] ?? null, outcomes: []});
     const wait = this.phase === 'playing' ? 1000 / (this.speed ?? 30) : 2000;
     if (this.phase === 'playing') this.later(wait, () => this.advance());
     else if (this.phase === 'ended' && this.autoNext) {
@@ -206,11 +199,6 @@ export class Player {
     return worldAt(episode, side, {step: this.step, episode: this.episode, seed: this.seed,
       subset, cameras, events: this.journals[index]});
   }
-}
-
-/** @param {import('./messages.js').Side} side @param {number} index Of a side. */
-function covers(side, index) {
-  return side === 'both' || (side === 'first') === (index === 0);
 }
 
 /**

@@ -77,19 +77,4 @@ export class Policy {
     const {features, merged, action, q} = found;
     return {features: features.data, merged: merged.data, action: action.data, q: q.data};
   }
-
-  /** Frees what the runtime holds. */
-  close() {
-    return this.session.release();
-  }
-}
-
-/**
- * All subsets of V streams, nothing first: bit i of the row's number is stream i.
- * @param {number} streams
- * @returns {boolean[][]}
- */
-export function everyMask(streams) {
-  return Array.from({length: 2 ** streams}, (_, bits) =>
-    Array.from({length: streams}, (_, stream) => (bits >> stream & 1) === 1));
 }

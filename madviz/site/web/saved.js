@@ -5,7 +5,7 @@
  * replays it elsewhere compares switches and outcome, since another simulator and another graphics
  * driver give other last bits. Files come from anybody, so everything in them is checked.
  */
-import {noOcclusion} from './camera_state.js';
+import {INPUTS, KINDS, noOcclusion} from './camera_state.js';
 import {gives} from './subsets.js';
 
 /** @typedef {import('./messages.js').CameraEvent} CameraEvent */
@@ -23,8 +23,6 @@ const GUARDED = ' (guarded)';
 const LONGEST = 4e6;
 const MOST_EVENTS = 10_000;
 const MOVES = {forward: 1, right: 1, up: 1, pan: 90, tilt: 90};
-const KINDS = ['none', 'black', 'noise', 'freeze', 'blur', 'patch'];
-const INPUTS = ['rgb', 'depth', 'both', 'off'];
 
 /**
  * One episode as a file has it.

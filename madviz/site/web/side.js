@@ -7,6 +7,7 @@
 
 import {cameraColour} from './colours.js';
 import {make, say} from './dom.js';
+import {listed} from './ending.js';
 import {dragBoxes} from './patch_box.js';
 import {badgeWords, labelOf, outcomeWords, subsetWords, tagWords} from './words.js';
 
@@ -121,10 +122,4 @@ function draw(canvas, picture) {
   }
   const pixels = /** @type {Uint8ClampedArray<ArrayBuffer>} */ (picture.rgba);
   canvas.getContext('2d')?.putImageData(new ImageData(pixels, picture.width, picture.height), 0, 0);
-}
-
-/** @param {string[]} words */
-function listed(words) {
-  const last = words.length - 1;
-  return last < 1 ? words.join('') : `${words.slice(0, last).join(', ')} and ${words[last]}`;
 }

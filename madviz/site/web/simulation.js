@@ -80,7 +80,6 @@ export class Simulation {
     this.guard = null;
     this.guardBegan = this.episode = this.seed = 0;
     this.successAny = false;
-    this.timings = {physics: 0, pictures: 0, policy: 0, readout: 0};
   }
 
   get step() {
@@ -139,18 +138,6 @@ export class Simulation {
   }
 
   /**
-   * Takes over how the cameras of another simulation are set.
-   * @param {Simulation | undefined} other
-   */
-  adopt(other) {
-    if (!other) return;
-    for (const name of Object.keys(this.cameras)) {
-      if (name in other.cameras) this.cameras[name] = other.cameras[name];
-      if (name in other.moves) this.moves[name] = other.moves[name];
-    }
-  }
-
-  /**
    * What a schedule names is as it was before, when an episode begins: cameras are whole, and no
    * guard watches.
    * @param {import('./messages.js').ScheduledEvent[]} schedule
@@ -169,9 +156,7 @@ export class Simulation {
     if (subset !== 'all' || occlusions) this.changedAt ??= this.step;
     this.conditions.add(JSON.stringify([this.policy.spec.name, subset, occlusions, guarded]));
     this.actions.push(this.action);
-    const start = performance.now();
     this.physics.act(this.action);
-    this.timings.physics = performance.now() - start;
     this.flags.push(this.physics.success);
     this.successAny ||= this.physics.success;
     await this.arrive();
@@ -196,22 +181,18 @@ export class Simulation {
   }
 
   async draw() {
-    const start = performance.now();
     this.poses = shapePoses(this.task.scene, this.physics.data);
     const {cameras} = this.policy.spec;
     const from = eyes(cameras, this.moves, this.physics);
     const drawn = await this.drawing.views(this.task.scene, this.poses, from, SIZE);
-    this.timings.pictures = performance.now() - start;
     this.views = Object.fromEntries(cameras.map((camera, i) => [camera.name, drawn[i]]));
     return this.views;
   }
 
   /** What the policy makes of the newest pictures; the guard has looked at them, once. */
   async read() {
-    const start = performance.now();
     this.noticed = this.guardBefore ? this.look(this.guardBefore.copy()) : [];
     this.reading = await this.policy.read(this.stack.views(), this.physics.state, [this.mask()]);
-    this.timings.policy = performance.now() - start;
   }
 
   /** The cameras that fail: each with all its streams. @param {Guard} guard */
@@ -228,11 +209,9 @@ export class Simulation {
 
   /** Action and Q of all subsets, at this step. */
   async readAll() {
-    const start = performance.now();
     const {streams, trained_subsets} = this.policy.spec;
     const {names, masks} = readSubsets(streams, trained_subsets);
     const {action, q} = await this.policy.read(this.stack.views(), this.physics.state, masks);
-    this.timings.readout = performance.now() - start;
     this.readout = {step: this.step, subsets: names, action, q};
   }
 

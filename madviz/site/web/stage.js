@@ -127,35 +127,6 @@ export class Stage extends Episodes {
     await this.readAll();
   }
 
-  /** @param {import('./messages.js').SetPolicy} command */
-  async onSetPolicy({side, name}) {
-    const names = this.sides.map(one => one.policy.spec.name);
-    const changed = names.map((old, i) => this.meant(side).includes(this.sides[i]) ? name : old);
-    const task = this.describe(name).task;
-    // Another task leaves nobody to compare with.
-    const kept = changed.filter(one => this.describe(one).task === task);
-    const {seed} = this;
-    const sides = await this.made(kept);
-    this.stopMany();
-    sides.forEach((one, i) => one.adopt(this.sides[i]));
-    this.replace(sides);
-    await this.begin(this.seeds().includes(seed) ? seed : this.seeds()[0]);
-  }
-
-  /** @param {{policy: string | null}} command */
-  async onCompare({policy}) {
-    const names = [this.sides[0].policy.spec.name, ...(policy ? [policy] : [])];
-    if (policy && this.describe(policy).task !== this.sides[0].task.said.name) {
-      throw new Error('Two policies can be compared on the same task only.');
-    }
-    const {seed} = this;
-    const sides = await this.made(names);
-    this.stopMany();
-    sides.forEach(one => one.adopt(this.sides[0]));
-    this.replace(sides);
-    await this.begin(seed);
-  }
-
   /** @param {{seed: number}} command */
   onSetSeed({seed}) {
     this.sides[0].physics.check(seed);
@@ -281,11 +252,6 @@ export class Stage extends Episodes {
     for (const old of this.sides) old.physics.close();
     this.sides = sides;
     for (const one of sides) one.watch(this.guarded);
-  }
-
-  /** @param {string} name */
-  describe(name) {
-    return /** @type {Stock} */ (this.stock).describe(name);
   }
 
   /** @param {Side} side */
