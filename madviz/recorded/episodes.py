@@ -116,7 +116,7 @@ def _rows(description: Description) -> list[tuple[_Row, dict[str, Any]]]:
     keys = list(_KEYS)
     for camera in description.cameras:
         if camera.kind == "video":
-            ends = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
+            ends = ("chunk_index", "file_index", "from_timestamp")
             keys += [f"videos/{camera.key}/{end}" for end in ends]
     rows: list[tuple[_Row, dict[str, Any]]] = []
     for path in paths:

@@ -19,7 +19,6 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from madviz.agent.agent import Agent, TorchPolicy
 from madviz.agent.update import generator_state, restore_generator
@@ -50,10 +49,6 @@ class LearnsByRun(Protocol):
     agent: Agent
     loss_names: ClassVar[tuple[str, ...]]
     """The columns of the curve that are not success."""
-
-    def act_all(self, views: Tensor, state: Tensor) -> Array:
-        """(L, V, C, H, W) uint8 and (L, S) to drawn actions (L, A)."""
-        ...
 
     def state_dict(self) -> dict[str, Any]: ...
 

@@ -248,15 +248,14 @@ class _Worker:
         except OSError as error:
             raise self._died() from error
 
-    def wait(self) -> Any:
-        """Until it has done what was asked, for what came of it; raises what went wrong there."""
+    def wait(self) -> None:
+        """Until it has done what was asked; raises what went wrong there."""
         try:
             answer = self.connection.recv()
         except (EOFError, OSError) as error:
             raise self._died() from error
         if isinstance(answer, Exception):
             raise answer
-        return answer
 
     def end(self) -> None:
         """Waits for a process whose connection is closed."""

@@ -271,12 +271,8 @@ class TrainingJob:
 
 
 def _rows(file: Path) -> tuple[dict[str, float], ...]:
-    """Numbers of a curve that is being written; a last line that is not whole is left out."""
-    return tuple(
-        {key: _number(value) for key, value in row.items()}
-        for row in read_rows(file)
-        if None not in row.values()
-    )
+    """Numbers of a curve that is being written."""
+    return tuple({key: _number(value) for key, value in row.items()} for row in read_rows(file))
 
 
 def _number(text: str) -> float:

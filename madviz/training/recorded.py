@@ -182,9 +182,7 @@ def train_recorded(plan: TrainingPlan, config: LightConfig, folder: RunFolder) -
 
 
 def _check_options(config: LightConfig) -> None:
-    standard = LightConfig()
-    asked = [name for name in UNUSED if getattr(config, name) != getattr(standard, name)]
-    if asked:
+    if asked := config.asked(UNUSED):
         raise UserError(
             f"expected light options that have an effect on recordings, found {', '.join(asked)}; "
             "leave them out: nothing is played or recorded"
