@@ -32,7 +32,7 @@ def test_a_stopped_training_is_repeated_as_long_as_it_got(finished, steps) -> No
 
 @pytest.mark.parametrize(
     ("recipe", "option"),
-    [("paper", "paper"), ("paper-vectorised", "vectorised"), ("mv-mwm", "mv-mwm")],
+    [("paper", "paper"), ("paper-vectorised", "vectorised")],
 )
 def test_a_training_of_the_usual_length_that_was_stopped_says_how_far_it_got(
     recipe: str, option: str
@@ -44,6 +44,11 @@ def test_a_training_of_the_usual_length_that_was_stopped_says_how_far_it_got(
     other = f"{asked} --{option}.exploration-steps 7"
     expected = f"{other} --{option}.steps 90 --out runs/toy"
     assert again(other, steps=90, finished=False) == expected
+
+
+def test_a_training_whose_rates_fall_over_its_length_keeps_that() -> None:
+    asked = f"{PLAIN} --recipe mv-mwm --mv-mwm.steps 20000"
+    assert again(asked, steps=10_000, finished=False) == f"{asked} --out runs/toy"
 
 
 def test_rounds_are_no_steps() -> None:

@@ -6,6 +6,8 @@
     –                         90,816        --paper.steps 90816
 
 A training by rewards that was stopped is repeated as long as it got, not as long as was asked for.
+But the learning rates of mv-mwm fall over all steps: a shorter run would be another one, so the
+command is the one that was given.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ OUT = "--out"
 RESUME = "--resume"
 STEPS = ".steps"
 RECIPE = "--recipe"
-SECTIONS = {"paper": "paper", "paper-vectorised": "vectorised", "mv-mwm": "mv-mwm"}
-"""Recipes whose length is a number of steps, and where their options stand."""
+SECTIONS = {"paper": "paper", "paper-vectorised": "vectorised"}
+"""Recipes that can end at any step, and where their options stand."""
 
 
 def words_again(training: TrainingRecord) -> list[str]:
