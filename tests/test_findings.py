@@ -182,7 +182,7 @@ def test_loss_and_episodes_are_told_apart(tmp_path: Path) -> None:
     gaps = {one.finding.claim.split(", ")[-1]: one.gap.value for one in found}
     assert len(found) == 6 and len({one.finding.task for one in found}) == 2
     assert gaps["alpha 0.25"] == gaps["alpha 0.8"] == pytest.approx((0 + 2 / 3) / 2)
-    assert gaps["where its episodes were recorded"] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
+    assert gaps["while their episodes were recorded"] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
     assert {one.measured for one in found} >= {
         "imitation, push, 3 trainings, n = 9, development (read)"
     }
