@@ -138,8 +138,13 @@ def world_model_losses(
     model: WorldModel, window: Window, noise: Float[Tensor, "T+L B G"], kl_weight: float
 ) -> dict[str, Float[Tensor, ""]]:
     """The terms that the world model minimises the sum of, by name; ``noise`` draws the beliefs,
-    and those that are guessed without pictures after them."""
+    and those that are guessed without pictures after them.
+
+    Raises ValueError for a window without actions.
+    """
     frames = len(window.present)
+    if not len(window.action):
+        raise ValueError("expected a window with actions, found none")
     posteriors, priors = model.observe(window, noise[:frames])
     kl = balanced_kl(joined(posteriors[1:]).logits, joined(priors).logits, BALANCE, FREE)
     seen = sight_losses(model, joined(posteriors), window.features, window.state)
