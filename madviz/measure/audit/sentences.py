@@ -97,6 +97,7 @@ def change(row: ConditionRow | DifferenceRow) -> str:
 
 
 def rate_of(row: ConditionRow | GuardedRow) -> SuccessRate:
+    """The row's success rate, with Wilson's interval."""
     n = row["n"]
     return SuccessRate.of(round(row["success"] * n), n)
 
