@@ -207,6 +207,7 @@ def test_the_five_comparisons_of_the_design(
     assert "| on a single camera | push, alpha 0.25 | push, alpha 0.8 |" in crossed_table.crossed()
     assert crossed_table.crossed_figure().count('class="dot"') == 9
     (tmp_path / "crossed.csv").write_text(COLUMNS + "".join(crossed_lines()))
+    assert "The recorded episodes make" in crossed_table.crossed().splitlines()[0]
     rows = [line.split("|") for line in crossed_table.crossed().splitlines()]
     points = [int(row[2].split()[0]) for row in rows if len(row) > 2 and "points" in row[2]]
     assert points[:5] == [33, 67, -67, 0, 0], "loss, episodes, interaction, two at turns"

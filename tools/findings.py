@@ -96,7 +96,6 @@ FINDINGS = (
         ("overall", "merged-only"),
         ALONE,
         "MAD is ahead",
-        headline=True,
     ),
     Finding(
         "On a single camera, MAD succeeds more often than Merged Only",
@@ -107,14 +106,6 @@ FINDINGS = (
         "MAD is ahead",
     ),
     Finding(
-        "On First person, Merged Only succeeds more often if its student drives on single cameras",
-        PUSH,
-        ("alpha", "alpha 1"),
-        ("overall", "merged-only"),
-        ("first",),
-        "not asked",
-    ),
-    Finding(
         "With all cameras, MAD succeeds as often as Merged Only",
         PUSH,
         ("overall", "mad"),
@@ -122,7 +113,6 @@ FINDINGS = (
         ("all",),
         "MAD is ahead",
         "alike",
-        headline=True,
     ),
     Finding(
         "On a single camera, MAD succeeds more often than a policy of that camera only, alpha 0.25",
