@@ -365,6 +365,7 @@ def test_whenever_the_comparison_is_left_all_is_as_before(table: Table, server: 
         for _ in range(leave_after):
             tour.next()
             during = table.tick()
+        table.session.send(MoveCamera("first", Displacement(pan=5)))
         assert not during.world.ablation.moves
         tour.end()
         frame = table.tick()

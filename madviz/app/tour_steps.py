@@ -265,7 +265,7 @@ def restored(frame: Frame, compared: bool = False) -> Commands:
     also for the failures that come by themselves, and for B."""
     world = frame.world
     cameras = (SetCamera(c.name, frame.camera(c.name)) for c in world.env.cameras)
-    moves = (MoveCamera(name, move) for name, move in world.ablation.moves.items())
+    moves = (MoveCamera(c.name, world.ablation.moves.get(c.name)) for c in world.env.cameras)
     alone = (Compare(None), SetSchedule(frame.schedule)) if compared else ()
     b = frame.second.world if compared and frame.second is not None else None
     beside = (Compare(b.reference, b.ablation), Link(frame.linked)) if b is not None else ()
