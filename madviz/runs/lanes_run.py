@@ -20,7 +20,6 @@ from madviz.errors import UserError
 from madviz.policies.config import TrainingRecord
 from madviz.runs.recipe_options import RunConfig
 from madviz.runs.reward_run import RewardRun
-from madviz.runs.run_folder import interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.runs.vector_envs import Board, VectorEnvs
 from madviz.system.machine import cores
@@ -83,19 +82,7 @@ def train_in_lanes(
     ``policy`` is evaluated, and ``record`` says how it came about.
     """
     run.resume(envs.repeat)
-    with interruptible(run.folder) as stop:
-        while True:
-            if run.evaluation_due():
-                run.evaluate(policy(), envs.play, stop.is_set)
-            if run.save_due(stop.is_set()):
-                run.save(record())
-            if run.finished or stop.is_set():
-                break
-            with run.busy():
-                advance(run, envs, act, learn)
-        # Not where somebody stopped it: the last evaluation may still be due.
-        if run.finished and not stop.is_set():
-            run.folder.finish()
+    run.train(policy, envs.play, record, lambda: advance(run, envs, act, learn))
 
 
 def advance(

@@ -1,8 +1,7 @@
 """A run of reinforcement learning: what is learned, what was seen, and where the run stands.
 
-What all recipes share is here, and their loops call it by name: evaluation, checkpoints, progress,
-and state to go on from. How decisions and updates alternate is a recipe's own (``paper``,
-``lanes_run``). Every reset draws a new scene, of 2,146 million.
+What all recipes share is here: the loop, evaluation, checkpoints, progress, and state to go on
+from. How decisions and updates alternate is a recipe's own (``paper``, ``lanes_run``). Every reset draws a new scene, of 2,146 million.
 
 A run is a function of its plan and configuration. Resume state holds weights, optimisers,
 generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
@@ -30,7 +29,7 @@ from madviz.policies.seeds import FIRST_LEARNING, FIRST_SELECTION
 from madviz.runs.buffer import BufferSpec, ReplayBuffer
 from madviz.runs.curve import draw_curve
 from madviz.runs.recipe_options import RunConfig
-from madviz.runs.run_folder import RunFolder
+from madviz.runs.run_folder import RunFolder, interruptible
 from madviz.runs.training_plan import TrainingPlan
 from madviz.subsets import mask_of, single_streams
 from madviz.types import Array
@@ -131,6 +130,33 @@ class RewardRun(Generic[Learns, Options]):
         reported = self.evaluated_step == self.step
         self.folder.truncate_curve("step", self.step - (not reported) if state else -1)
         self._start_clock()
+
+    def train(
+        self,
+        policy: Callable[[], TorchPolicy],
+        play: Play,
+        record: Callable[[], TrainingRecord],
+        advance: Callable[[], None],
+    ) -> None:
+        """Trains to the end or a Ctrl-C, which saves after the decision (or evaluation episode) at
+        hand.
+
+        ``advance`` makes decisions and the updates that are due, ``policy`` is evaluated by
+        ``play``, and ``record`` says how it came about.
+        """
+        with interruptible(self.folder) as stop:
+            while True:
+                if self.evaluation_due():
+                    self.evaluate(policy(), play, stop.is_set)
+                if self.save_due(stop.is_set()):
+                    self.save(record())
+                if self.finished or stop.is_set():
+                    break
+                with self.busy():
+                    advance()
+            # Not where somebody stopped it: the last evaluation may still be due.
+            if self.finished and not stop.is_set():
+                self.folder.finish()
 
     def save_due(self, stopping: bool) -> bool:
         """At the end, where somebody is ``stopping`` it, and every ``save_every`` decisions."""

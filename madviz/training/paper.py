@@ -32,7 +32,7 @@ from madviz.observation.ablation import Ablation
 from madviz.runs.drawn_task import newest_frames
 from madviz.runs.recipe_options import RunConfig
 from madviz.runs.reward_run import Play, RewardRun, Stop
-from madviz.runs.run_folder import RunFolder, interruptible
+from madviz.runs.run_folder import RunFolder
 from madviz.runs.training_plan import TrainingPlan
 from madviz.system.numbers import Count, Rate, Width
 from madviz.types import Array, Encoded, Environment, EnvSpec, PolicySpec
@@ -81,27 +81,17 @@ class PaperConfig(ReinforcementConfig):
 
 
 def train_paper(plan: TrainingPlan, config: PaperConfig, folder: RunFolder) -> None:
-    """Trains by the paper's recipe, from the folder's last state on if it has one.
-
-    Ctrl-C saves after the decision (or evaluation episode) at hand. Raises UserError for what the
-    machine cannot do.
-    """
+    """Trains by the paper's recipe, from the folder's last state on if it has one. Raises UserError
+    for what the machine cannot do."""
     with closing(plan.drawn_task.build()) as env:
         run = new_run(plan, config, folder)
         run.resume(lambda seeds, actions: repeat(env, seeds, actions))
-        with interruptible(folder) as stop:
-            while True:
-                if run.evaluation_due():
-                    run.evaluate(evaluated(run), player(env), stop.is_set)
-                if run.save_due(stop.is_set()):
-                    run.save(run.record(HOW))
-                if run.finished or stop.is_set():
-                    break
-                with run.busy():
-                    advance(run, env)
-            # Not where somebody stopped it: the last evaluation may still be due.
-            if run.finished and not stop.is_set():
-                folder.finish()
+        run.train(
+            policy=lambda: evaluated(run),
+            play=player(env),
+            record=lambda: run.record(HOW),
+            advance=lambda: advance(run, env),
+        )
 
 
 def advance(run: RewardRun[Learner, PaperConfig], env: Environment) -> None:
