@@ -187,7 +187,7 @@ function world(one) {
   const subsets = ['all', ...policy.streams, 'none'];
   const pose = {position: [0.6, 0.2, 0.6], wxyz: [0.3, 0.9, 0.1, 0.2], fovy: 50};
   return {policy: policy.name, task: policy.task, episode, seed, step, cameras: {...cameras},
-    moves: {...one.moves}, events: [...one.events], condition: condition(one), views,
+    moves: {...one.moves}, events: [...one.events], condition: condition(one),
     arrived: Object.fromEntries(policy.streams.map(stream => [stream, views[stream.split('.')[0]]])),
     poses: Object.fromEntries(policy.cameras.map(camera => [camera.name, pose])),
     geom_poses: new Float32Array(0), streams: policy.streams,

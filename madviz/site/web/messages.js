@@ -219,7 +219,6 @@
  * @property {Record<string, Displacement>} moves The cameras that do not stand where they did.
  * @property {Condition} condition
  * @property {Condition} [decided] The condition of the last decision.
- * @property {Record<string, Picture>} views By camera, what it really sees.
  * @property {Record<string, Picture>} arrived By stream, what reached the policy.
  * @property {Record<string, CameraPose>} poses By camera.
  * @property {Float32Array} geom_poses (G x 12): what `pictures.js` draws, for the orbit view: three

@@ -84,7 +84,7 @@ export function worldAt({tensors, sheet, scene, sceneEvery, subsets}, side, now)
   return {policy: side.policy, task: side.task, episode: now.episode, seed: now.seed, step,
     horizon: side.horizon, mask: side.streams.map(stream => now.cameras[stream].input !== 'off'),
     cameras: {...now.cameras}, moves: {}, guard: null, condition: {subset: now.subset, occlusions: ''},
-    events: now.events, views: pictures, arrived: pictures, poses: {},
+    events: now.events, arrived: pictures, poses: {},
     geom_poses: new Float32Array(0), scene: tileOf(scene, Math.floor(step / sceneEvery)),
     norms: row('norms'), streams: side.streams, merged: row('merged'), action: row('action'),
     q: row('q')[0], readout: {step, subsets, action: row('readout_action'), q: row('readout_q')},

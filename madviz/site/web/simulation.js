@@ -325,7 +325,6 @@ export class Simulation {
       moves: structuredClone(this.moves),
       condition: this.condition(),
       decided: this.decided,
-      views: opaque(this.views),
       arrived: this.stack.newest(),
       poses: Object.fromEntries(poses),
       geom_poses: this.poses.slice(),
@@ -345,16 +344,4 @@ export class Simulation {
       paths: structuredClone(this.paths),
     };
   }
-}
-
-/**
- * Copies for the page: their fourth number is depth no more.
- * @param {Record<string, import('./messages.js').Picture>} views
- */
-function opaque(views) {
-  return Object.fromEntries(Object.entries(views).map(([name, {width, height, rgba}]) => {
-    const copy = rgba.slice();
-    for (let i = 3; i < copy.length; i += 4) copy[i] = 255;
-    return [name, {width, height, rgba: copy}];
-  }));
 }
