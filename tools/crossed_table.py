@@ -73,7 +73,7 @@ def crossed() -> str:
 
 
 def _sentence(task: str) -> str:
-    """What results/designs.md says of the task, whatever the outcome."""
+    """The sentence of results/designs.md on the task, whatever the outcome."""
     tables = design_tables(FILE.parent)
     low, high = (_shown(_gap(tables, task, ALONE, LOSS, alpha)) for alpha in ALPHAS)
     episodes = _shown(_gap(tables, task, ALONE, EPISODES, ALPHAS[0]))

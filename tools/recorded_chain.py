@@ -1,11 +1,13 @@
 """Trains on recordings of hammer's expert, and counts success in the simulator.
 
     python tools/recorded_chain.py runs/recorded
+    python tools/recorded_chain.py runs/recorded --act    LeRobot's ACT on the same recordings
 
 Records the expert as a LeRobot dataset with films, trains on it without the simulator, audits each
 policy on the recordings, serves it, and counts its success in the simulator, by madviz's own
 commands. results/designs.md has the question. Every finished piece is kept in the folder, and
-each condition of each policy becomes a row of results/recorded.csv at once.
+each condition of each policy becomes a row of results/recorded.csv at once. ACT is trained and
+served by integrations/lerobot, whose setup.sh comes first.
 """
 
 from __future__ import annotations
@@ -20,21 +22,33 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import date
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from policy_files import ROOT
 
+import madviz
+from madviz.envs.registry import env_spec
+from madviz.guard.fit import fit_values, seen_episode
+from madviz.guard.policy import GuardedPolicy
 from madviz.measure.readings import LEDGER, Reading
-from madviz.policies.checkpoint import describe
+from madviz.observation.grammar import parse_occlusions
+from madviz.policies.checkpoint import describe, load_policy
+from madviz.recorded.recordings import open_recordings
+from madviz.recorded.split import held_out
 
 TASK = "metaworld/hammer"
 CAMERAS = ("first", "third_a", "third_b")
+WAYS = ("dropped", "black", "frozen")
 METHODS = ("mad", "merged-only", "singular-only")
 SEEDS = (1, 2)
+ACT = "act"
+LEROBOT = ROOT / "integrations" / "lerobot"
 RECORDED = "--episodes 50 --seed 0 --video --format lerobot".split()
 TRAINING = "--light.rounds 6 --light.updates-per-round 300 --threads 1".split()
+ACT_TRAINING = "--updates 1200".split()
 FIRST_SEED = 47_000
 COUNT = 50
 TRAIN_AT_ONCE = 2
@@ -48,6 +62,8 @@ state = "state"
 masks = true
 cameras = {{ {", ".join(f'{name} = "{name}"' for name in CAMERAS)} }}
 """
+ASKED = WIRE.replace(TASK, "recording/hammer")
+"""How ACT is asked about the recordings."""
 
 
 class Condition(NamedTuple):
@@ -126,19 +142,37 @@ def train(piece: Piece) -> None:
         words = ["--method", piece.method, "--seed", str(piece.seed), "--out", str(piece.policy)]
         again = ["--resume"] if (piece.policy / "resume" / "run.json").exists() else []
         _madviz("train", *recordings, *words, *again, *TRAINING)
-    known = ["--policy", str(piece.policy), *recordings]
-    if not _audit_of(piece).exists():
-        how = ["--how", "dropped", "black", "frozen"]
-        _madviz("audit", *known, *how, "--out", str(_audit_of(piece).parent))
+    _audit(piece, str(piece.policy))
     if not (piece.policy / "guard.json").exists():
-        _madviz("guard", *known)
+        _madviz("guard", "--policy", str(piece.policy), *recordings)
+
+
+def train_act(piece: Piece) -> None:
+    """Trains ACT without the episodes that are held out, and audits it on the recordings."""
+    if not (piece.policy / "trained").exists():
+        words = ["--data", str(piece.recordings), "--out", str(piece.policy)]
+        words += ["--seed", str(piece.seed), *ACT_TRAINING]
+        words += ["--leave-out", *map(str, held_out(range(50)))]
+        subprocess.run([*_lerobot("train_act.py"), *words], check=True)
+        (piece.policy / "trained").touch()
+    (piece.out / "asked.toml").write_text(ASKED)
+    with _served(piece, guard=False) as address:
+        _audit(piece, address, "--wire", str(piece.out / "asked.toml"))
+
+
+def _audit(piece: Piece, *policy: str) -> None:
+    if not _audit_of(piece).exists():
+        options = ["--how", *WAYS, "--out", str(_audit_of(piece).parent)]
+        _madviz("audit", "--recording", str(piece.recordings), *options, "--policy", *policy)
 
 
 def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
     """Counts the success of what is missing, with one server for all of it."""
     audit = json.loads(_audit_of(piece).read_text())
-    digest = describe(piece.policy).spec.digest
-    assert audit["digest"] == digest, f"{_audit_of(piece)} is of other weights; remove it"
+    digest = audit["digest"]
+    if piece.method != ACT:
+        found = describe(piece.policy).spec.digest
+        assert digest == found, f"{_audit_of(piece)} is of other weights; remove it"
     known = done()
     left = [one for one in conditions if (piece.method, piece.seed, digest, *one) not in known]
     if not left:
@@ -147,23 +181,57 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
         (row["camera"], row["what"], row["how"]): f"{row['change']['mean']:.4f}"
         for row in audit["conditions"]
     }
-    file = piece.policy / "rates.json"
-    with _served(piece.policy, left[0].guard) as address:
+    with _served(piece, left[0].guard) as address:
         for one in left:
+            file = piece.policy / f"rates-{one.camera}-{one.what}-{one.how}.json"
             words = ["--policy", address, "--wire", str(piece.out / "wire.toml"), *one.words]
             words += ["--workers", "1", "--json", str(file)]
             words += ["--episodes", str(COUNT), "--seed", str(FIRST_SEED)]
             _madviz("eval", *words)
             played = json.loads(file.read_text())["episodes"]
-            played.sort(key=lambda episode: episode["seed"])
-            last, ever = (
-                "".join(str(int(episode[key])) for episode in played)
-                for key in ("success", "success_any")
-            )
             change = "" if one.guard else changes.get(one[:3], "")
             if one == INTACT:
                 _note(piece, digest)
-            _add(Row(piece.method, piece.seed, digest, *one, change, FIRST_SEED, last, ever))
+            known_as = piece.method, piece.seed, digest
+            _add(Row(*known_as, *one, change, FIRST_SEED, *_outcomes(played)))
+
+
+def evaluate_guarded_act(piece: Piece) -> None:
+    """Counts the success of ACT with a guard that is fitted on the recordings, in Python: a server
+    of another program has none."""
+    digest = json.loads(_audit_of(piece).read_text())["digest"]
+    left = [one for one in GUARDED if (piece.method, piece.seed, digest, *one) not in done()]
+    recordings = open_recordings(piece.recordings)
+    learned = [one.index for one in recordings.episodes if one.index not in recordings.held_out]
+    seen = [
+        seen_episode(
+            [dict(zip(CAMERAS, step, strict=True)) for step in recordings.frames(index, 84)],
+            recordings.numbers(index)[0],
+        )
+        for index in learned[:12]
+    ]
+    values = fit_values(seen, (84, 84), env_spec(TASK).state_numbers.robot)
+    with _served(piece, guard=False) as address:
+        policy = GuardedPolicy(load_policy(address), values)
+        for one in left:
+            found = madviz.evaluate(
+                policy,
+                ["all"],
+                episodes=COUNT,
+                seed=FIRST_SEED,
+                workers=0,
+                occlusions=parse_occlusions([f"{one.camera}={one.how}"]),
+            )
+            played = [asdict(episode) for episode in found.episodes]
+            known_as = piece.method, piece.seed, digest
+            _add(Row(*known_as, *one, "", FIRST_SEED, *_outcomes(played)))
+
+
+def _outcomes(played: list[dict[str, Any]]) -> Iterator[str]:
+    """A digit for each episode, at the last step and at any step."""
+    played.sort(key=lambda episode: episode["seed"])
+    for key in ("success", "success_any"):
+        yield "".join(str(int(episode[key])) for episode in played)
 
 
 def done() -> set[tuple]:
@@ -203,16 +271,32 @@ def _note(piece: Piece, digest: str) -> None:
 
 
 @contextmanager
-def _served(policy: Path, guard: bool) -> Iterator[str]:
-    """The address of a server of ``policy``, which says it in its first line."""
-    words = ["serve", "--policy", str(policy), "--port", "0", *(["--guard"] if guard else [])]
-    server = subprocess.Popen(_command(*words), stdout=subprocess.PIPE, text=True)
+def _served(piece: Piece, guard: bool) -> Iterator[str]:
+    """The address of a server of the policy, which says it once it is there."""
+    if piece.method == ACT:
+        words = [*_lerobot("serve_policy.py"), str(piece.policy), "--task", TASK, "--port", "0"]
+    else:
+        options = ["--guard"] if guard else []
+        words = _command("serve", "--policy", str(piece.policy), "--port", "0", *options)
+    server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     try:
-        yield server.stdout.readline().split()[-1]
+        yield next(line for line in server.stdout if "ws://" in line).split()[-1]
     finally:
         server.terminate()
         server.wait()
+
+
+def _with_act(piece: Piece) -> None:
+    train_act(piece)
+    evaluate(piece, PLAIN[:1])
+    with ThreadPoolExecutor(TRAIN_AT_ONCE) as pool:
+        list(pool.map(lambda these: evaluate(piece, these), (PLAIN[1:7], PLAIN[7:])))
+    evaluate_guarded_act(piece)
+
+
+def _lerobot(file: str) -> list[str]:
+    return [str(LEROBOT / ".venv" / "bin" / "python"), str(LEROBOT / file)]
 
 
 def _madviz(*words: str) -> None:
@@ -226,11 +310,16 @@ def _command(*words: str) -> list[str]:
 def main(words: Sequence[str]) -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    out = parser.parse_args(words).out
+    parser.add_argument("--act", action="store_true", help="LeRobot's ACT, one training")
+    asked = parser.parse_args(words)
+    out = asked.out
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "hammer").exists():
         _madviz("record", "--expert", TASK, *RECORDED, "--out", str(out / "hammer"))
     (out / "wire.toml").write_text(WIRE)
+    if asked.act:
+        _with_act(Piece(ACT, 1, out))
+        return
     pieces = [Piece(method, seed, out) for seed in SEEDS for method in METHODS]
     with ThreadPoolExecutor(TRAIN_AT_ONCE) as pool:
         list(pool.map(train, pieces))

@@ -13,12 +13,14 @@ import numpy as np
 from measurements import table
 from policy_files import LABELS
 from recorded_chain import (
+    ACT,
     COUNT,
     GUARDED,
     METHODS,
     PLAIN,
     SEEDS,
     TABLE,
+    WAYS,
     Condition,
     condition_of,
 )
@@ -27,8 +29,12 @@ from scipy.stats import rankdata
 from madviz.measure.audit.recorded import HARDLY
 from madviz.measure.statistics import SuccessRate
 
-NAMES = {"mad": "MAD", "merged-only": "Merged Only", "singular-only": "Singular Only"}
-WAYS = ("dropped", "black", "frozen")
+NAMES = {
+    "mad": "MAD",
+    "merged-only": "Merged Only",
+    "singular-only": "Singular Only",
+    ACT: "LeRobot's ACT",
+}
 COSTS = 0.1
 """A camera costs success where more than this share of the episodes is lost without it."""
 
@@ -53,19 +59,26 @@ def recorded() -> str:
     lines = []
     for key in dict.fromkeys(map(condition_of, measured)):
         ours = [row for row in measured if condition_of(row) == key]
-        rates = [_rate(row for row in ours if row["method"] == method) for method in METHODS]
+        rates = [_rate(row for row in ours if row["method"] == method) for method in NAMES]
         lines.append([_words(key), *rates])
-    header = ["cameras", *(NAMES[method] for method in METHODS)]
-    return f"{table(header, lines)}\n{_sentences(points(measured))}\n"
+    every = points(measured)
+    act = [one for one in every if one.policy[0] == ACT]
+    designed = [one for one in every if one not in act]
+    said = [*_sentences(designed), *([_of_act(act)] if act else [])]
+    return f"{table(['cameras', *NAMES.values()], lines)}\n" + "".join(f"- {s}\n" for s in said)
 
 
 def complete() -> list[dict[str, str]]:
-    """The rows of those conditions that every policy has, in the order of the design."""
+    """The rows of those conditions that every policy of the design has, in its order, and ACT's."""
     with TABLE.open(newline="") as file:
         measured = list(csv.DictReader(file))
-    count = Counter(map(condition_of, measured))
-    kept = [one for one in (*PLAIN, *GUARDED) if count[one] == len(METHODS) * len(SEEDS)]
-    return [row for one in kept for row in measured if condition_of(row) == one]
+    count = Counter(condition_of(row) for row in measured if row["method"] != ACT)
+    kept = [
+        row
+        for row in measured
+        if row["method"] == ACT or count[condition_of(row)] == len(METHODS) * len(SEEDS)
+    ]
+    return [row for one in (*PLAIN, *GUARDED) for row in kept if condition_of(row) == one]
 
 
 def points(measured: Iterable[dict[str, str]]) -> list[Point]:
@@ -110,7 +123,7 @@ def worst_found(some: list[Point]) -> tuple[int, int]:
     return found, tried
 
 
-def _sentences(every: list[Point]) -> str:
+def _sentences(every: list[Point]) -> list[str]:
     groups = {f"A {how} camera": [one for one in every if one.how == how] for how in WAYS}
     groups = {name: some for name, some in groups.items() if some} | {"All ways": every}
     lines = []
@@ -123,7 +136,15 @@ def _sentences(every: list[Point]) -> str:
             f"{right} of them, the camera with the largest change costs most (by chance, about a "
             "third)."
         )
-    return "\n".join(f"- {line}" for line in [*lines, _by_limit(every)])
+    return [*lines, _by_limit(every)]
+
+
+def _of_act(points_of_act: list[Point]) -> str:
+    value, low, high = correlation(points_of_act)
+    return (
+        f"ACT: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
+        f"{len(points_of_act)} points of one training). {_by_limit(points_of_act)}"
+    )
 
 
 def _by_limit(every: list[Point]) -> str:
@@ -131,10 +152,12 @@ def _by_limit(every: list[Point]) -> str:
     above = [one.lost for one in every if one.change > HARDLY]
     below = [one.lost for one in every if one.change <= HARDLY]
     costly = [sum(lost > COSTS * COUNT for lost in side) for side in (above, below)]
+    most = f"{costly[1]} of {len(below)}, and at most {max(below)} of {COUNT} episodes"
+    if not above:
+        return f"All lie below the audit's limit of {HARDLY} spreads; more than 10 points: {most}."
     return (
         f"Above the audit's limit of {HARDLY} spreads, {costly[0]} of {len(above)} cases cost more "
-        f"than 10 points; below it, {costly[1]} of {len(below)}, and at most {max(below)} of "
-        f"{COUNT} episodes."
+        f"than 10 points; below it, {most}."
     )
 
 
@@ -155,7 +178,8 @@ def _words(key: Condition) -> str:
 
 
 def _rate(ours: Iterable[dict[str, str]]) -> str:
-    played = "".join(row["at_last_step"] for row in ours)
+    if not (played := "".join(row["at_last_step"] for row in ours)):
+        return "not played"
     return str(SuccessRate.of(played.count("1"), len(played)))
 
 
