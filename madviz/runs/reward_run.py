@@ -1,7 +1,8 @@
 """A run of reinforcement learning: what is learned, what was seen, and where the run stands.
 
 What all recipes share is here: the loop, evaluation, checkpoints, progress, and state to go on
-from. How decisions and updates alternate is a recipe's own (``paper``, ``lanes_run``). Every reset draws a new scene, of 2,146 million.
+from. How decisions and updates alternate is a recipe's own (``paper``, ``lanes_run``). Every reset
+draws a new scene, of 2,146 million.
 
 A run is a function of its plan and configuration. Resume state holds weights, optimisers,
 generators and what is new in the buffer; a killed run goes on in mid-episode, by resetting to the
