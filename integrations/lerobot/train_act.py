@@ -71,7 +71,8 @@ def arguments() -> argparse.Namespace:
 
 class Demonstrations:
     """A dataset in memory, pictures or films: 100 decisions of three cameras at 84 pixels are 6.4
-    MB. Nothing is learned from the episodes ``left_out``."""
+    MB. No update uses the episodes ``left_out``; the dataset's statistics, which scale states and
+    actions, hold them."""
 
     def __init__(self, folder: Path, left_out: list[int]) -> None:
         self.loaded = LeRobotDataset(folder.name, root=folder, video_backend="pyav")
@@ -85,8 +86,14 @@ class Demonstrations:
         numbers = self.loaded.hf_dataset.with_format("numpy", columns=columns)[:]
         self.states, self.actions = (torch.from_numpy(numbers[k]) for k in columns[:2])
         episode = numbers["episode_index"]
+        if unknown := sorted(set(left_out) - set(episode.tolist())):
+            raise SystemExit(
+                f"--leave-out: expected episodes from 0 to {episode.max()}, found {unknown[0]}"
+            )
         useful = useful_decisions(episode, numbers[SUCCESS].ravel())
         self.useful = useful[~np.isin(episode[useful], left_out)]
+        if not len(self.useful):
+            raise SystemExit("expected episodes to learn from, found none; leave fewer out")
         self.ends = np.searchsorted(episode, episode, side="right")
         height, width = self.loaded.meta.features[self.keys[0]]["shape"][:2]
         shape = len(episode), len(self.keys), 3, height, width

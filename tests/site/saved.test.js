@@ -69,7 +69,7 @@ const WRONG = {
   'a seed that is a text': () => spoilt(one => { one.seed = '5000'; }),
   'an unknown camera': () => spoilt(one => { one.commands[0].camera = '__proto__'; }),
   'an unknown input': () => spoilt(one => { one.commands[0].input = 'x'; }),
-  'depth, where a policy takes colour alone': () => spoilt(one => { one.commands[0].input = 'depth'; }),
+  'depth, where a policy has colour only': () => spoilt(one => { one.commands[0].input = 'depth'; }),
   'a step below 0': () => spoilt(one => { one.commands[0].step = -1; }),
   'a strength above 1': () => spoilt(one => { one.commands[0].occlusion.strength = 2; }),
   'a move that is far': () => spoilt(one => { one.commands[1].move.right = 50; }),
