@@ -61,6 +61,8 @@ LOSSES = (
     Loss("singular-only"),
     *(Loss("single", camera=camera) for camera in CAMERAS),
 )
+LEFT_OUT = {"maniskill/push-cube": ("singular-only", "single")}
+"""Methods that a task is not trained with."""
 FROM_REWARDS = (
     Loss("mad", 0.8),
     Loss("merged-only", 0.8),
@@ -110,7 +112,9 @@ def _trained(out: Path, tasks: Sequence[str], seeds: Sequence[int]) -> Iterator[
     for task, seed, level in itertools.product(tasks, seeds, LEVELS):
         name = f"{task.replace('/', '-')}-{level}-seed{seed}"
         folder, actions = out / name, table.with_suffix("") / name
-        losses = [loss for loss in LOSSES if level == "turns" or not loss.camera]
+        left_out = LEFT_OUT.get(task, ())
+        of_level = [loss for loss in LOSSES if level == "turns" or not loss.camera]
+        losses = [loss for loss in of_level if loss.method not in left_out]
         recorded = folder / RECORDS.name
         left = [loss for loss in losses if (task, level, seed, *loss) not in done(table)]
         for loss in left:
