@@ -23,7 +23,7 @@ NAMES = {
 def rewards() -> str:
     """The design's outcomes; before all of its trainings are there, how many are."""
     file = ROOT / "results" / "rewards.csv"
-    wanted = DESIGNS[file.name].trainings
+    (wanted,) = DESIGNS[file.name].trainings.values()
     if (found := finished(file).total()) < wanted:
         return f"{found} of {wanted} trainings are finished; nothing is said before all are.\n"
     last, ever = (
