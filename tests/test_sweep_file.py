@@ -124,6 +124,17 @@ def test_the_words_of_a_run_are_words_that_the_command_line_knows(
             '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad"]\n[eval]\nsubsets = ["frist"]\n',
             "unknown camera subset 'frist'; did you mean first",
         ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["mad", "concat"]\n'
+            '[eval]\nsubsets = ["all", "first"]\n',
+            r"subsets that concat can act on \(all streams together, and nothing less\), found "
+            "'first'",
+        ),
+        (
+            '[grid]\ntasks = ["toy/reach"]\nmethods = ["single"]\n'
+            '[grid.train]\ncamera = ["first", "third_a"]\n[eval]\nsubsets = ["all", "first"]\n',
+            r"subsets that single can act on \(all, none, rgb, third_a\), found 'first'",
+        ),
     ],
 )
 def test_a_mistake_in_the_file_costs_nothing(text: str, expected: str, tmp_path: Path) -> None:

@@ -33,11 +33,12 @@ from typing import Annotated, Any
 
 import msgspec
 
+from madviz.agent.merges.merge_table import MERGES
 from madviz.agent.methods import method
 from madviz.envs.custom import is_own
 from madviz.envs.registry import check_task, setting
 from madviz.errors import UserError, unknown
-from madviz.subsets import mask_of
+from madviz.subsets import camera_of, groups, mask_of
 from madviz.sweep.run import Run
 from madviz.system.files import read_toml
 from madviz.system.options import options as options_of
@@ -91,11 +92,9 @@ def read_plan(file: str | Path) -> tuple[Run, ...]:
     evaluation = tuple(words_for(msgspec.to_builtins(asked.eval)))
     runs: dict[str, Run] = {}
     for grid in asked.grid if isinstance(asked.grid, list) else [asked.grid]:
-        own = "cameras" in flat(grid.train) or any(map(is_own, grid.tasks))
-        for where in () if own else grid.settings:  # Only madviz's own cameras are known here.
-            for subset in asked.eval.subsets or ():
-                mask_of(subset, setting(where).streams)
-        for run in _expand(path, grid, evaluation):
+        expanded = _expand(path, grid, evaluation)
+        _check_subsets(path, grid, asked.eval.subsets or ())
+        for run in expanded:
             if runs.setdefault(run.name, run) != run:
                 raise UserError(
                     f"{path}: expected one set of options for {run.name}, found two in different "
@@ -167,6 +166,32 @@ def _check(grid: Grid) -> None:
                 )
         for where in grid.settings:
             method(name).rows(setting(where).streams)
+
+
+def _check_subsets(path: Path, grid: Grid, subsets: Sequence[str]) -> None:
+    """Raises UserError for one of ``subsets`` that a policy of ``grid`` could not act on."""
+    options = flat(grid.train)
+    if "cameras" in options or any(map(is_own, grid.tasks)):
+        return  # Only madviz's own cameras are known here.
+    merges, cameras = (_values(options.get(key, "")) for key in ("merge", "camera"))
+    for name, where, merge, camera in product(grid.methods, grid.settings, merges, cameras):
+        chosen, place = method(name), setting(where)
+        support = MERGES[chosen.merge_for(place.streams, merge)].support
+        alone = chosen.one_camera and (camera or place.cameras[0])
+        streams = tuple(s for s in place.streams if not alone or camera_of(s) == alone)
+        for subset in subsets:
+            mask_of(subset, place.streams)
+            known = {*subset.split("+")} <= groups(streams).keys()
+            if not (known and support.allows(mask_of(subset, streams))):
+                words = support.words if known else ", ".join(groups(streams))
+                raise UserError(
+                    f"{path}: expected subsets that {name} can act on ({words}), found {subset!r}; "
+                    f"leave it out of [eval], or give {name} a sweep file of its own"
+                )
+
+
+def _values(asked: Any) -> list[Any]:
+    return asked if isinstance(asked, list) else [asked]
 
 
 def flat(table: Table, prefix: str = "") -> Table:
