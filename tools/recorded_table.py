@@ -130,11 +130,12 @@ def _sentences(every: list[Point]) -> list[str]:
     for name, some in groups.items():
         value, low, high = correlation(some)
         right, tried = worst_found(some)
+        cases = len({(one.policy, one.how) for one in some})
         lines.append(
             f"{name}: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
-            f"{len(some)} points). Some camera costs more than 10 points in {tried} cases; in "
-            f"{right} of them, the camera with the largest change costs most (by chance, about a "
-            "third)."
+            f"{len(some)} losses). Some camera costs more than 10 points in {tried} of {cases} "
+            f"cases; in {right} of them, the camera with the largest change costs most (by chance, "
+            "about a third)."
         )
     return [*lines, _by_limit(every)]
 
@@ -143,7 +144,7 @@ def _of_act(points_of_act: list[Point]) -> str:
     value, low, high = correlation(points_of_act)
     return (
         f"ACT: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
-        f"{len(points_of_act)} points of one training). {_by_limit(points_of_act)}"
+        f"{len(points_of_act)} losses of one training). {_by_limit(points_of_act)}"
     )
 
 
@@ -154,10 +155,10 @@ def _by_limit(every: list[Point]) -> str:
     costly = [sum(lost > COSTS * COUNT for lost in side) for side in (above, below)]
     most = f"{costly[1]} of {len(below)}, and at most {max(below)} of {COUNT} episodes"
     if not above:
-        return f"All lie below the audit's limit of {HARDLY} spreads; more than 10 points: {most}."
+        return f"All lie below the audit's limit of {HARDLY} spreads; above 10 points: {most}."
     return (
-        f"Above the audit's limit of {HARDLY} spreads, {costly[0]} of {len(above)} cases cost more "
-        f"than 10 points; below it, {most}."
+        f"Above the audit's limit of {HARDLY} spreads, {costly[0]} of {len(above)} losses are "
+        f"above 10 points; below it, {most}."
     )
 
 

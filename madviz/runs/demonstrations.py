@@ -233,7 +233,7 @@ class Recorder:
         except BrokenProcessPool as error:
             raise UserError(
                 "expected the recording process to live, found it killed (out of memory?); "
-                "nothing learned is lost: go on with --resume"
+                "free memory; a run that was saved before goes on with --resume"
             ) from error
 
     def close(self) -> None:

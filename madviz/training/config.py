@@ -92,8 +92,8 @@ class TrainConfig:
     """Go on with the run in ``out``."""
     threads: Threads | None = None
     """Threads of the learner; by default 1 for ``light``, whose recorder uses the other core, one
-    per core for ``paper``, one per core without a worker for the others (both of two cores). Sums
-    are split between threads, so another number is another run."""
+    per core for ``paper`` and with ``--recording``, one per core without a worker for the others
+    (both of two cores). Sums are split between threads, so another number is another run."""
     own: OwnOptions = field(default_factory=OwnOptions)
     """Options of the method's merge, if it has any."""
     light: Annotated[LightConfig, Recipe("light", imitate), Only("recipe", "light")] = field(
