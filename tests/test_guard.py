@@ -184,6 +184,29 @@ def test_values_that_are_missing_or_broken_name_the_command(tmp_path) -> None:
         read_values(tmp_path / "g.json", "fit")
 
 
+@pytest.mark.parametrize(
+    ("changed", "of_stream"),
+    [
+        ({"unit": (0.0, 1.0)}, {}),
+        ({"unit": (1.0,)}, {}),
+        ({"state": (-1, 0)}, {}),
+        ({"state": (), "unit": ()}, {"reach": (), "numbers": (), "scales": (), "weights": ""}),
+        ({"schema": 1}, {}),
+        ({}, {"numbers": (0, 9)}),
+        ({}, {"scales": (1.0, 1.0, 1.0)}),
+        ({}, {"reach": (0.1,)}),
+    ],
+)
+def test_values_that_do_not_fit_together_are_refused(
+    changed: dict, of_stream: dict, tmp_path
+) -> None:
+    stream = msgspec.structs.replace(VALUES.streams["camera"], **of_stream)
+    values = msgspec.structs.replace(VALUES, **{"streams": {"first": stream}, **changed})
+    write_values(tmp_path / "g.json", values)
+    with pytest.raises(UserError, match="run `fit`"):
+        read_values(tmp_path / "g.json", "fit")
+
+
 def test_fitting_refuses_too_little() -> None:
     with pytest.raises(UserError, match="4 episodes or more"):
         fit_values([scene.episode(1)], (42, 42))

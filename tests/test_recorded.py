@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -123,17 +124,27 @@ def test_a_cached_file_that_was_cut_is_made_again(tmp_path: Path, cache: Path) -
     np.testing.assert_array_equal(found.frames(0, 32), before)
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(
-    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path, cache: Path) -> None:
     found = open_recordings(Small().write(tmp_path / "mine"))
-    monkeypatch.setattr("madviz.recorded.cache.os.pwrite", full)
-    with pytest.raises(UserError, match="expected room for decoded pictures, found: No space"):
-        found.frames(0, 32)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        # It ends within a picture: the system takes a part of it, and refuses the rest.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5000, before[1]))
+        with pytest.raises(UserError, match="expected room for decoded pictures, found: File too"):
+            found.frames(0, 32)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list(cache.iterdir())
+
+
+def test_a_film_that_is_gone_is_named(tmp_path: Path, cache: Path) -> None:
+    folder = Small().write(tmp_path / "mine")
+    found = open_recordings(folder)
+    (folder / FILM).unlink()
+    with pytest.raises(UserError, match="mp4: expected a file of the recordings, found: No such"):
+        found.frames(0, 32)
+    fault = found.fault(1, 32)
+    assert fault is not None and "expected a file of the recordings" in fault
 
 
 def test_letterboxed_keeps_shapes() -> None:

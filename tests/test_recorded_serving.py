@@ -21,7 +21,7 @@ from madviz.recorded.recordings import open_recordings
 from madviz.recorded.robot import robot_of
 from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
-from madviz.serving.serve import PolicyServer
+from madviz.serving.serve import PolicyServer, ServeConfig, run_serve
 from madviz.training.config import TrainConfig
 from madviz.training.light_options import LightConfig
 from madviz.training.train import train
@@ -108,6 +108,19 @@ def test_a_served_policy_answers_as_the_folder_does(trained: tuple[Path, Path]) 
         assert np.allclose(here.action, there.action, atol=1e-4)
     finally:
         server.close()
+
+
+def test_a_policy_of_python_code_is_served_in_the_robots_units(
+    trained: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, _ = trained
+    allow_recording(bench)
+    running: list[PolicyServer] = []
+    monkeypatch.setattr(PolicyServer, "run", lambda server: running.append(server))
+    run_serve(ServeConfig("tests.recorded_policy:make", port=0))
+    (server,) = running
+    robot = robot_of(open_recordings(bench))
+    assert server._robot == replace(robot, trained_on=frozenset())
 
 
 def test_another_programs_policy_gets_pictures_as_they_were_recorded(

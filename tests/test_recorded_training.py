@@ -17,7 +17,7 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.streams import StreamStack
 from madviz.policies.checkpoint import load_policy
 from madviz.recorded.known import VARIABLE, allow_recording
-from madviz.recorded.recordings import open_recordings
+from madviz.recorded.recordings import Recordings, open_recordings
 from madviz.recorded.robot import read_robot, robot_of, write_robot
 from madviz.system.files import read_json, write_json
 from madviz.training.config import TrainConfig, resolve
@@ -69,6 +69,18 @@ def test_other_methods_learn_from_the_same_recordings(
 ) -> None:
     run(bench, tmp_path / method, method=method)
     assert load_policy(tmp_path / method).spec.method == method
+
+
+def test_an_episode_that_is_left_out_does_not_count_as_trained_on(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = open_recordings(bench)
+    assert 0 in known.training
+    monkeypatch.setattr(Recordings, "fault", lambda _, one, *__: "it is torn" * (one == 0))
+    events = run(bench, tmp_path / "mad")
+    assert [event["why"] for event in events if event["kind"] == "left out"] == ["it is torn"]
+    trained_on = read_robot(tmp_path / "mad").trained_on
+    assert trained_on == {known.digest(one) for one in known.training if one}
 
 
 def test_a_stopped_training_goes_on_to_the_same_weights(bench: Path, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from madviz.types import Encoded, Policy, TakesPictures
 from madviz.wire.codec import pack, unpack
 from madviz.wire.policy import ServedPolicy
 from tests.fakes import AllOrNothing, Chunked, FakePolicy, random_policy
+from tests.pages import until
 from tests.sessions import BLACK, OFF, Recorder
 from tests.wires import wiring_file
 
@@ -385,6 +386,8 @@ def test_a_picture_that_is_none_is_a_camera_that_is_not_there():
     [
         look(state=np.full(6, np.nan)),
         look(images={"first": np.zeros((84, 84, 3), np.uint8), "third_b": "x"}),
+        look(images={"first": [[[1, 2, 3]], []]}),
+        look(state=[[1], [1, 2]]),
     ],
 )
 def test_a_look_that_is_refused_leaves_nothing_behind(bad):
@@ -396,6 +399,26 @@ def test_a_look_that_is_refused_leaves_nothing_behind(bad):
         episodes.act(bad["images"], bad["state"])
     episodes.act(white, np.zeros(6))
     assert (policy.views == 255).all()
+
+
+def test_frames_of_an_answer_that_failed_and_of_a_whole_look_are_those_that_came(monkeypatch):
+    policy = Seen()
+    episodes = ServedEpisodes(policy, 6)
+
+    def seen(number: int) -> list[int]:
+        picture = np.full((84, 84, 3), number, np.uint8)
+        episodes.act(dict.fromkeys(policy.spec.streams, picture), np.zeros(6))
+        return policy.views[0, ::3, 0, 0].tolist()
+
+    assert seen(1) == [1, 1, 1] and seen(2) == [1, 1, 2]
+    with monkeypatch.context() as patch:
+        patch.setattr(policy, "read", lambda *_: _raise("nothing"))
+        with pytest.raises(UserError, match="nothing"):
+            seen(3)
+    assert seen(3) == [1, 2, 3], "the look was sent again"
+    whole = np.repeat(np.uint8([5, 6, 7]), 3) * np.ones((84, 84, 1), np.uint8)
+    episodes.act(dict.fromkeys(policy.spec.streams, whole), np.zeros(6))
+    assert seen(8) == [6, 7, 8]
 
 
 def test_a_state_that_is_no_number_is_named_with_its_place():
@@ -442,6 +465,25 @@ def test_a_crowd_is_turned_away():
             late.recv(5)
         for one in crowd:
             one.close()
+
+
+def test_the_end_hangs_up_whoever_is_there():
+    server = PolicyServer(FakePolicy()).start()
+    with connect(server.address) as socket:
+        socket.recv(5)
+        server.close()
+        with pytest.raises(ConnectionClosed, match="1001"):
+            socket.recv(5)
+
+
+def test_a_player_that_cannot_be_closed_keeps_no_place(monkeypatch):
+    monkeypatch.setattr(serve, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(Reader, "close", lambda _: _raise("it does not close"))
+    with serving(FakePolicy()) as server:
+        for _ in range(2):
+            with connect(server.address) as socket:
+                assert told(socket, "observation", look())["type"] == "action"
+            until(lambda: not server._connections, 5.0)
 
 
 def test_the_system_looks_whether_a_silent_client_is_still_there(monkeypatch):

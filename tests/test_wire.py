@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from PIL import Image
+from websockets.server import ServerProtocol
 from websockets.sync.server import ServerConnection
 
 from madviz.app.panels.cameras import unused_note
@@ -24,7 +26,9 @@ from madviz.measure.evaluate import EvalConfig, evaluate, run_eval
 from madviz.policies.checkpoint import load_policy
 from madviz.session.commands import Fork, Pause, Play, Scrub, SetCamera
 from madviz.subsets import name_of
+from madviz.system.address import ServerAddress
 from madviz.wire.codec import DEEPEST, BadMessage, pack, unpack
+from madviz.wire.connection import PolicyConnection
 from madviz.wire.policy import noise_at
 from madviz.wire.reference import plain, with_wire
 from tests.sessions import BLACK, OFF, Recorder
@@ -54,6 +58,16 @@ def test_arrays_come_back_as_they_were(protocol):
     assert back["deep"]["on"].dtype == bool and back["list"] == [1, "two", 0.5]
 
 
+def test_a_picture_with_a_broken_chunk_is_refused():
+    file = io.BytesIO()
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(file, "PNG")
+    torn = bytearray(file.getvalue())
+    torn[36] = 0
+    sent = {"__image__": True, "format": "png", "data": bytes(torn)}
+    with pytest.raises(BadMessage, match="no png"):
+        unpack(msgspec.msgpack.encode({"a": sent}))
+
+
 def test_pictures_may_come_as_png():
     picture, file = np.arange(48, dtype=np.uint8).reshape(4, 4, 3), io.BytesIO()
     Image.fromarray(picture).save(file, "PNG")
@@ -70,6 +84,7 @@ TRAPS = {
     "a program": (ARRAY | {"dtype": "(3,)f4, __import__('os')"}, "kind"),
     "sides past counting": (ARRAY | {"data": b"", "shape": [0, 2**62, 2**62]}, "the shape"),
     "a kind that is a number": (ARRAY | {"dtype": 4}, "without a kind"),
+    "a size that is no number": (ARRAY | {"shape": [True, 2]}, "the shape"),
     "no bytes": (ARRAY | {"data": "text"}, "without data"),
     "a kind of picture": ({"__image__": True, "format": "pkl", "data": b""}, "unknown format"),
     "a torn picture": ({"__image__": True, "format": "png", "data": b"x"}, "no png"),
@@ -385,6 +400,34 @@ def test_what_was_finished_is_written(tmp_path, capsys):
         assert main(["eval", "--policy", address, *words, "--json", str(out)]) == 2
         assert msgspec.json.decode(out.read_bytes())["subsets"]["all"]["n"] == 1
         assert "1 of 2 episodes are done" in capsys.readouterr().err
+
+
+def test_a_server_that_reads_nothing_is_named_in_time():
+    listening = socket.create_server(("127.0.0.1", 0))
+
+    def greet() -> None:
+        line = listening.accept()[0]
+        protocol = ServerProtocol()
+        protocol.receive_data(line.recv(10_000))
+        (request,) = protocol.events_received()
+        protocol.send_response(protocol.accept(request))
+        line.sendall(b"".join(protocol.data_to_send()))
+        kept.append(line)
+
+    kept: list[socket.socket] = []
+    thread = threading.Thread(target=greet)
+    thread.start()
+    address = ServerAddress.of(f"ws://127.0.0.1:{listening.getsockname()[1]}")
+    connection = PolicyConnection(address, timeout=0.2)
+    try:
+        connection.open()
+        with pytest.raises(UserError, match="a server that reads within 0.2 s, found one"):
+            connection.tell({"picture": bytes(20_000_000)}, "vla-eval")
+        assert not connection.is_open
+    finally:
+        thread.join(5)
+        for each in (*kept, listening):
+            each.close()
 
 
 def test_nobody_there_is_said_in_one_sentence(tmp_path):

@@ -97,10 +97,25 @@ def read_values(file: Path, fit: str) -> GuardValues:
                 f"{file}: expected {CELLS * CELLS} weights for each number of {name}, found "
                 f"others; run `{fit}`"
             ) from error
-    counts = {len(values.unit), *(len(stream.reach) for stream in values.streams.values())}
-    if values.schema != SCHEMA or counts != {len(values.state)}:
+    if values.schema != SCHEMA or not _fits(values):
         raise UserError(f"{file}: expected values of this version, found others; run `{fit}`")
     return values
+
+
+def _fits(values: GuardValues) -> bool:
+    """Whether lengths and places agree, and every unit can be divided by."""
+    count = len(values.state)
+    places = count > 0 and min(values.state) >= 0 and len(values.unit) == count
+    return (
+        places
+        and min(values.unit) > 0
+        and all(
+            len(stream.reach) == count
+            and len(stream.scales) == len(stream.numbers)
+            and all(0 <= number < count for number in stream.numbers)
+            for stream in values.streams.values()
+        )
+    )
 
 
 def write_values(file: Path, values: GuardValues) -> None:

@@ -8,7 +8,6 @@ appears when it is whole. The name says what it was made from: changed films mak
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -31,10 +30,16 @@ def packed(
 ) -> Array:
     """(T, V, size, size, 3) uint8, a read-only map of the file for ``name``, which is made if it is
     not there: ``pictures`` are (step, camera, picture (H, W, 3)) in any order. ``sources`` and
-    ``facts`` are what they are made from. Raises UserError if it cannot be written."""
+    ``facts`` are what they are made from. Raises UserError if it cannot be written, and for a
+    source that is gone."""
     digest = hashlib.sha256(repr((facts, shape)).encode())
     for path in sources:
-        found = path.stat()
+        try:
+            found = path.stat()
+        except OSError as error:
+            raise UserError(
+                f"{path}: expected a file of the recordings, found: {error.strerror}; put it back"
+            ) from error
         digest.update(f"{path}\0{found.st_size}\0{found.st_mtime_ns}\0".encode())
     file = recordings_cache() / f"{name}-{shape[2]}-{digest.hexdigest()[:32]}.npy"
     with suppress(OSError, ValueError):
@@ -61,8 +66,7 @@ def _write(
     size = shape[2]
     with part.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, facts)
-        file.flush()
         begin = file.tell()
         for step, camera, picture in pictures:
-            place = begin + (step * shape[1] + camera) * size * size * 3
-            os.pwrite(file.fileno(), letterboxed(picture, size).tobytes(), place)
+            file.seek(begin + (step * shape[1] + camera) * size * size * 3)
+            file.write(letterboxed(picture, size).tobytes())  # Whole, or an error.

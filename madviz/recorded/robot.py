@@ -13,7 +13,7 @@ that it learned from are known by a digest of their numbers, in whatever dataset
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -155,6 +155,11 @@ def robot_of(recordings: Recordings) -> Robot:
         recordings.held_out,
         frozenset(map(recordings.digest, recordings.training)),
     )
+
+
+def robot_of_stranger(recordings: Recordings) -> Robot:
+    """The same for a policy that does not say which episodes it was trained on."""
+    return replace(robot_of(recordings), trained_on=frozenset())
 
 
 def robot_document(robot: Robot) -> dict[str, object]:

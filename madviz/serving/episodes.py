@@ -76,7 +76,7 @@ class ServedEpisodes:
             )
         frames = self._spec.frame_stack
         pictures = [look[stream] for stream in self._spec.streams if stream in look]
-        if frames > 1 and any(np.shape(picture)[2:] == (3,) for picture in pictures):
+        if frames > 1 and any(_shape(picture)[2:] == (3,) for picture in pictures):
             raise BadLook(
                 f"expected 'episode' beside single frames, found none, and {self._spec.name} acts "
                 f"on the last {frames}; send a number that is another one in each episode, or "
@@ -112,13 +112,18 @@ class ServedEpisodes:
         shapes = self._policy.shapes if isinstance(self._policy, TakesPictures) else {}
         pictures = {s: self._picture(s, sent[s], shapes.get(s, square)) for s in sent}
         numbers = self._state(state)
-        if isinstance(self._policy, TakesPictures):
-            encoded = self._policy.encode_pictures(pictures, numbers)
-        else:
-            stacks = [self._stack(stream, pictures.get(stream)) for stream in streams]
-            encoded = self._policy.encode(np.stack(stacks), numbers)
-        action = np.asarray(self._player.act(encoded, mask), np.float32)
-        check_action(action, self._action_dim)
+        before = dict(self._frames)
+        try:
+            if isinstance(self._policy, TakesPictures):
+                encoded = self._policy.encode_pictures(pictures, numbers)
+            else:
+                stacks = [self._stack(stream, pictures.get(stream)) for stream in streams]
+                encoded = self._policy.encode(np.stack(stacks), numbers)
+            action = np.asarray(self._player.act(encoded, mask), np.float32)
+            check_action(action, self._action_dim)
+        except Exception:
+            self._frames = before  # The same look may be sent again.
+            raise
         return self._robot.actions.unscale(action) if self._robot else action
 
     @property
@@ -134,9 +139,10 @@ class ServedEpisodes:
     def close(self) -> None:
         """The episode is over, or the connection is gone."""
         self._frames = {}
-        if self._player is not None:
-            self._player.close()
+        player = self._player
         self._player = None
+        if player is not None:
+            player.close()
 
     def _stack(self, stream: str, picture: Array | None) -> Array:
         """(3 x frames, H, W) uint8 of a ``picture`` (H, W, C), the oldest frame first; black where
@@ -148,17 +154,17 @@ class ServedEpisodes:
             return np.zeros((3 * frames, size, size), np.uint8)
         newest = picture.transpose(2, 0, 1)
         if len(newest) == 3 * frames:
-            past = [newest]
+            past = np.split(newest, frames)
         else:
             past = [*self._frames.get(stream, [newest] * (frames - 1)), newest][-frames:]
-            self._frames[stream] = past
+        self._frames[stream] = past
         return np.concatenate(past)
 
     def _picture(self, stream: str, picture: Any, wanted: tuple[int, int]) -> Array:
         """(H, W, C) uint8 in the shape ``wanted``. Raises BadLook where the aspect differs."""
         height, width = wanted
         deepest = 3 * self._spec.frame_stack
-        shape = np.shape(picture)
+        shape = _shape(picture)
         good = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and len(shape) == 3
         if not good or shape[2] not in (3, deepest) or 0 in shape or max(shape[:2]) > 4096:
             what = f"{shape} {getattr(picture, 'dtype', type(picture).__name__)}"
@@ -196,7 +202,7 @@ class ServedEpisodes:
             found = np.zeros((0, 0), np.float32)
         if found.shape != (count,):
             raise BadLook(
-                f"expected {count} finite numbers as the state, found {np.shape(state)}; send "
+                f"expected {count} finite numbers as the state, found {_shape(state)}; send "
                 f"those of {self._spec.task}"
             )
         if not (finite := np.isfinite(found)).all():
@@ -206,6 +212,14 @@ class ServedEpisodes:
                 f"{place}; send the look again when it can be read"
             )
         return self._robot.states.scale(found) if self._robot else found
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """The lengths of the axes of ``value``; of rows of unequal length, how many they are."""
+    try:
+        return np.shape(value)
+    except ValueError:
+        return (len(value),)
 
 
 def _boxed(picture: Array, camera: RecordedCamera, size: int) -> Array:

@@ -38,7 +38,8 @@ from madviz.measure.episodes import one_thread
 from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
-from madviz.recorded.robot import Robot, robot_document
+from madviz.recorded.known import is_recording, recordings_of
+from madviz.recorded.robot import Robot, robot_document, robot_of_stranger
 from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.system.hosts import new_token, port_error, same_token, stays_here, with_token
@@ -106,6 +107,8 @@ class PolicyServer:
             self._facts["robot"] = robot_document(robot)
         self._computing = threading.Lock()
         self._clients = threading.Semaphore(MOST_CLIENTS)
+        self._connections: set[ServerConnection] = set()
+        self._ending = False
         try:
             self._server: Server = serve(
                 self._talk,
@@ -116,6 +119,7 @@ class PolicyServer:
                 process_request=self._admit,
                 compression=None,
                 max_size=MOST_BYTES,
+                close_timeout=1.0,
                 ping_interval=None,
             )
         except (OSError, UnicodeError) as error:
@@ -136,7 +140,10 @@ class PolicyServer:
 
     def close(self) -> None:
         """No more clients; those that are there are hung up."""
+        self._ending = True
         self._server.shutdown()
+        for connection in tuple(self._connections):
+            connection.close(1001, "the server ends")
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         if request.headers.get("Origin") is not None:
@@ -154,7 +161,10 @@ class PolicyServer:
             connection.close(1013, "too many clients")
             return
         episodes = ServedEpisodes(self._policy, self._state_dim, self._robot)
+        self._connections.add(connection)
         try:
+            if self._ending:  # It was greeted while the others were hung up.
+                return
             _keep_alive(connection.socket)
             first = _first_words(connection)
             if first is None:
@@ -167,8 +177,9 @@ class PolicyServer:
             log.exception("a client was hung up")
             connection.close(1011, "the policy failed; see the server's log")
         finally:
-            episodes.close()
+            self._connections.discard(connection)
             self._clients.release()
+            episodes.close()
 
     def _talk_vla_eval(
         self, connection: ServerConnection, episodes: ServedEpisodes, data: bytes | str
@@ -315,6 +326,9 @@ def run_serve(config: ServeConfig) -> None:
     trust(config.policy, config.trust)
     policy = checkpoint.load_policy(with_guard(config.policy, config.guard))
     robot = checkpoint.robot_of_policy(config.policy)
+    if robot is None and is_recording(policy.spec.task):
+        # It takes and gives scaled numbers, as all policies of recordings do in one process.
+        robot = robot_of_stranger(recordings_of(policy.spec.task))
     if config.check is not None:
         print("\n".join(dry_run(policy, robot, config.check)))
         return

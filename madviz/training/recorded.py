@@ -10,6 +10,7 @@ recorded ones on episodes that were held out before training, in units of the ac
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,6 @@ class RecordedRun(LightRun):
         _check_options(config)
         super().__init__(plan, config, folder.path)
         known = recordings_of(plan.spec.task)
-        self.robot = robot_of(known)
         recordings = known.prepared(
             IMAGE_SIZE,
             lambda n: folder.report("pictures", episode=n, of=len(known.episodes)),
@@ -122,6 +122,8 @@ class RecordedRun(LightRun):
         self.held_out = tuple(one for one in known.held_out if one in whole)
         if not training:
             raise UserError(f"{known.path}: expected a whole episode to learn from, found none")
+        digests = frozenset(map(known.digest, training))
+        self.robot = replace(robot_of(known), trained_on=digests)
         allow_open_files(len(whole))
         self.data = RecordedDataset(recordings, training, self.robot, plan)
         self.look_at(np.arange(len(self.data)))

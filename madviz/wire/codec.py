@@ -107,7 +107,7 @@ def _array(table: dict[str, Any]) -> Array:
         raise BadMessage(f"an array of the unknown kind {kind!r:.40}") from error
     if dtype.kind not in "biuf":
         raise BadMessage(f"an array of the kind {kind!r:.40}, which holds no plain numbers")
-    if not all(isinstance(size, int) and size >= 0 for size in shape) or len(shape) > 8:
+    if not all(type(size) is int and size >= 0 for size in shape) or len(shape) > 8:
         raise BadMessage(f"an array of the shape {shape!r:.60}")
     if math.prod(shape) * dtype.itemsize != len(data):
         raise BadMessage(f"an array of the shape {shape!r:.60} in {len(data)} bytes")
@@ -132,6 +132,12 @@ def _picture(table: dict[str, Any]) -> Array:
             if image.width * image.height > MOST_PIXELS:
                 raise BadMessage(f"a picture of {image.width} by {image.height} pixels")
             found = np.asarray(image)
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
+    except (
+        UnidentifiedImageError,
+        OSError,
+        ValueError,
+        SyntaxError,  # Pillow's word for a chunk of a PNG that is broken.
+        Image.DecompressionBombError,
+    ) as error:
         raise BadMessage(f"a picture that is no {kind}") from error
     return found[..., None] if found.ndim == 2 else found

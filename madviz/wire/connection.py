@@ -4,6 +4,8 @@ which address did not do what was expected of it."""
 from __future__ import annotations
 
 import logging
+import socket
+import struct
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidMessage, InvalidURI
@@ -44,7 +46,7 @@ class PolicyConnection:
         """Connects; whether the other side is madviz's own. Raises UserError."""
         self.close()
         try:
-            self._socket = connect(
+            opened = connect(
                 self.address.whole,
                 subprotocols=[OURS],
                 compression=None,
@@ -60,21 +62,29 @@ class PolicyConnection:
             raise self.wrong("a policy that is served", f"no connection ({why:.100})") from error
         except (InvalidURI, ValueError):
             raise self.wrong("ws://HOST:PORT", "something else") from None
-        return self._socket.subprotocol == OURS
+        # Of sending alone: a limit of the whole socket would end a connection that only waits.
+        limit = struct.pack("ll", int(self._timeout), int(self._timeout % 1 * 1e6))
+        opened.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        self._socket = opened
+        return opened.subprotocol == OURS
 
     def close(self) -> None:
         """Hangs up; the next question connects again."""
-        socket = self._socket
+        opened = self._socket
         self._socket = None
-        if socket is not None:
-            socket.close()
+        if opened is not None:
+            opened.close()
 
     def tell(self, message: Any, protocol: Protocol) -> None:
-        """Sends what needs no answer."""
+        """Sends what needs no answer. Raises UserError, and hangs up, where it is not taken in
+        time."""
         assert self._socket is not None
         try:
             self._socket.send(pack(message, protocol))
         except ConnectionClosed as gone:
+            if isinstance(gone.__cause__, BlockingIOError):
+                what = f"a server that reads within {self._timeout:g} s"
+                raise self.wrong(what, "one that does not", "see `timeout` of --wire") from None
             raise self._gone("an open connection", gone) from None
 
     def hear(self, expected: str, within: float | None = None) -> Any:
