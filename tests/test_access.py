@@ -95,15 +95,22 @@ def test_a_token_is_long_and_compared_whole():
 def test_a_few_wrong_tries_a_second():
     now = [0.0]
     tries = Tries(lambda: now[0])
-    for _ in range(TRIES):
+    for number in range(TRIES):
         assert not tries.too_many("here")
-        tries.note("here")
+        tries.note("here", f"wrong {number}")
     assert tries.too_many("here") and not tries.too_many("there")
     now[0] = 1.1
     assert not tries.too_many("here")
     for number in range(5000):
-        tries.note(str(number))
+        tries.note(str(number), "wrong")
     assert len(tries._wrong) <= 1000
+
+
+def test_stale_tabs_that_say_the_same_again_are_one_try():
+    tries = Tries(lambda: 0.0)
+    for _ in range(10 * TRIES):
+        tries.note("behind a proxy", "the token before the restart")
+    assert not tries.too_many("behind a proxy")
 
 
 @pytest.mark.parametrize(

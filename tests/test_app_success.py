@@ -199,6 +199,11 @@ def test_what_a_guard_changes_is_said_where_both_were_measured(server):
     assert words in panel.update(frame)[0].value
     intact = frame_with()
     assert "The guard" not in panel.update(intact)[0].value
+    # A training that calls itself like an included policy.
+    mine = replace(bare, digest="mine")
+    rates.add(mine, frame.condition, dict.fromkeys(range(20), False))
+    own = replace(frame, world=replace(frame.world, policy=mine, reference="runs/mine"))
+    assert "The guard" not in panel.update(own)[0].value
 
 
 def test_verdicts_have_words_and_colours():

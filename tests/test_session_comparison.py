@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from madviz.app.panels.comparison import comparison_html
+from madviz.app.success_rates import SuccessRates
+from madviz.envs.registry import make_env
 from madviz.envs.toy import ToyReach
 from madviz.observation.ablation import Ablation, CameraState
 from madviz.observation.condition import Condition
@@ -15,8 +18,11 @@ from madviz.observation.displacement import Displacement, MoveCamera
 from madviz.observation.schedule import Event
 from madviz.session.commands import Compare, Link, Play, Scrub, SetCamera, SetPolicy, SetSchedule
 from madviz.session.comparison import tally
+from madviz.session.ending import ending_of
+from madviz.session.episode_record import EpisodeRecord
 from madviz.session.frame import Outcome, Pair
-from tests.fakes import AllOrNothing, FakePolicy, Silent, policies
+from madviz.types import Array, TimeStep
+from tests.fakes import AllOrNothing, Chunked, FakePolicy, Silent, policies
 from tests.sessions import Recorder
 from tests.test_timeline import Played
 
@@ -89,6 +95,53 @@ def test_both_sides_of_a_switched_camera_make_a_pair_in_the_next_episode() -> No
     frame = play(40)
     assert [str(pair.sides[0][1]) for pair in frame.pairs] == ["third_a+third_b"] * len(frame.pairs)
     assert frame.pairs
+
+
+class Short(ToyReach):
+    """Ends after five decisions, as a task does that success ends."""
+
+    def step(self, action: Array) -> TimeStep:
+        found = super().step(action)
+        return replace(found, last=found.last or self._step >= 5)
+
+
+def test_where_a_ends_first_b_goes_on_to_its_own_end() -> None:
+    made: list[ToyReach] = []
+
+    def factory(*args: Any, **options: Any) -> ToyReach:
+        env = make_env(*args, **options)
+        assert isinstance(env, ToyReach)
+        env.__class__ = ToyReach if made else Short
+        made.append(env)
+        return env
+
+    play = Played(factory=factory)
+    frame = play(Compare("toy-mad"), 4)
+    assert not frame.ended and not frame.pairs
+    frame = play(1)
+    assert frame.ended and frame.world.step == 5 and frame.second is not None
+    assert frame.second.world.step == frame.world.env.horizon
+    assert len(frame.pairs) == 1
+
+
+def test_two_policies_in_one_episode_are_said_to_be_two() -> None:
+    frame = Played()(SetCamera("first", OFF), 3, SetPolicy("toy-other"), 25)
+    words = ending_of(frame, SuccessRates().best)
+    assert words is not None and "(it acted last)" in words.result
+    frame = Played()(SetCamera("first", OFF), 25)
+    words = ending_of(frame, SuccessRates().best)
+    assert words is not None and "acted last" not in words.result
+
+
+def test_a_memory_that_begins_in_mid_episode_counts_for_no_condition() -> None:
+    for policy, counts in ((Chunked(), False), (FakePolicy(), True)):
+        record = EpisodeRecord()
+        record.swapped(policy)
+        record.note(policy.spec, Condition("all"), Ablation())
+        assert record.outcome(policy.spec, 0, True, []).condition == Condition("all")
+        record.swapped(policy)
+        record.note(policy.spec, Condition("all"), Ablation())
+        assert (record.outcome(policy.spec, 0, True, []).condition is not None) == counts
 
 
 def test_only_untouched_episodes_make_a_pair() -> None:

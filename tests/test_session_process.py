@@ -41,7 +41,7 @@ from madviz.session.frame import Frame, NoFrame
 from madviz.session.process import MakeSession, References, SessionProcess
 from madviz.session.session import Session
 from madviz.session.transfer import FrameDecoder, FrameEncoder
-from madviz.types import Future
+from madviz.types import Array, Encoded, Future
 from tests.fakes import FakePolicy, policies
 from tests.sessions import OFF, Recorder
 
@@ -59,6 +59,31 @@ class MakeDeadly:
 
     def __call__(self, policy: str | None = None) -> Session:
         return Session(make_env, policy or "deadly", deadly)
+
+
+class Fatal(FakePolicy):
+    """Ends its process after twenty looks, as native code may."""
+
+    looks = 0
+
+    def encode(self, views: Array, state: Array) -> Encoded:
+        self.looks += 1
+        if self.looks > 20:
+            os._exit(3)
+        return super().encode(views, state)
+
+
+def fatal(name: str) -> FakePolicy:
+    """``policies``, and that one."""
+    return Fatal(name) if name == "fatal" else policies(name)
+
+
+@dataclass(frozen=True)
+class MakeFatal:
+    """A session with a policy to compare that ends its process after a while."""
+
+    def __call__(self, policy: str | None = None) -> Session:
+        return Session(make_env, policy or "toy-mad", fatal)
 
 
 def filed(name: str) -> FakePolicy:
@@ -300,6 +325,19 @@ def test_another_policy_helps_where_the_first_one_ends_every_process():
         one.session.send(SetPolicy("toy-other"))
         found = one.until(lambda n: isinstance(n, Frame))
         assert isinstance(found, Frame) and found.world.policy.name == "toy-other"
+
+
+def test_a_comparison_that_ends_every_process_is_left_out():
+    with watched(MakeFatal()) as one:
+        one.until(lambda n: isinstance(n, Frame))
+        for command in (SetSpeed(50.0), Compare("fatal"), Play()):
+            one.session.send(command)
+        one.until(lambda n: isinstance(n, Frame) and n.second is not None)
+        one.until(lambda n: isinstance(n, NoFrame) and "third time" in n.title)
+        before = len(one.news)
+        one.session.send(Play())
+        found = one.until(lambda n: isinstance(n, Frame) and n.world.step > 4, before)
+        assert isinstance(found, Frame) and found.second is None
 
 
 def test_the_third_end_within_a_minute_waits_for_the_visitor():

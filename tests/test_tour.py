@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -277,6 +278,20 @@ def test_where_there_is_nothing_to_compare_with_it_says_which_policy_has_somethi
     begun = Tour(client, table.session.send, lambda: table.frame, CHOICES[:1], [])
     assert client.gui.find("New?").options[0] != "compare"
     begun.remove()
+
+
+def test_another_task_does_not_keep_the_tours_failures(table: Table, server: viser.ViserServer):
+    shown = [table.frame]
+    sent: list[object] = []
+    tour = Tour(browser(server), sent.append, lambda: shown[0], CHOICES, [])
+    tour.begin()
+    tour.next()
+    sent.clear()
+    other = replace(table.frame.world.env, task="metaworld/push")
+    shown[0] = with_world(table.frame, env=other, reference="metaworld-push-mad-light")
+    tour.remove()
+    before = table.frame
+    assert sent == [SetSchedule(before.schedule), SetSpeed(before.pace.speed)]
 
 
 def test_a_button_does_what_it_says_whatever_is_open(table: Table, server: viser.ViserServer):

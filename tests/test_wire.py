@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from PIL import Image
+from websockets.http11 import Request
 from websockets.server import ServerProtocol
 from websockets.sync.server import ServerConnection
 
@@ -410,6 +411,7 @@ def test_a_server_that_reads_nothing_is_named_in_time():
         protocol = ServerProtocol()
         protocol.receive_data(line.recv(10_000))
         (request,) = protocol.events_received()
+        assert isinstance(request, Request)
         protocol.send_response(protocol.accept(request))
         line.sendall(b"".join(protocol.data_to_send()))
         kept.append(line)

@@ -95,18 +95,20 @@ class Tries:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._wrong: OrderedDict[str, deque[float]] = OrderedDict()
+        self._wrong: OrderedDict[str, deque[tuple[float, str]]] = OrderedDict()
 
     def too_many(self, address: str) -> bool:
         """Whether ``address`` has to wait."""
         past = self._wrong.get(address, ())
-        return len(past) == TRIES and self._clock() - past[0] < WINDOW
+        return len(past) == TRIES and self._clock() - past[0][0] < WINDOW
 
-    def note(self, address: str) -> None:
-        """One more wrong token."""
+    def note(self, address: str, said: str) -> None:
+        """One more wrong token. Who says the same one again guesses nothing: a tab that was open
+        before a restart asks once a second, and others may come from its address."""
         past = self._wrong.setdefault(address, deque(maxlen=TRIES))
         self._wrong.move_to_end(address)
-        past.append(self._clock())
+        if all(said != other for _, other in past):
+            past.append((self._clock(), said))
         if len(self._wrong) > MOST_ADDRESSES:
             self._wrong.popitem(last=False)
 
@@ -156,7 +158,7 @@ class Gate:
         waits = said is not None and self.tries.too_many(address)
         known = None if said is None or waits else self._role_of(said)
         if said is not None and known is None and not waits:
-            self.tries.note(address)
+            self.tries.note(address, said)
         if waits and (asked is not None or self.visit):
             return _refusal(HTTPStatus.TOO_MANY_REQUESTS, TOO_MANY)
         if asked is not None and known is None:

@@ -186,6 +186,7 @@ class Page:
         greet = self._greets
         self._greets = False
         self._strip()
+        self._prediction.take("")  # It was about the robot that is gone.
         assert self._waiting is not None
         if self._said is None:
             self._waiting.content = waiting_html(self._notice) if self._notice else ""

@@ -33,7 +33,14 @@ from madviz.app.tour_steps import (
 )
 from madviz.policies.checkpoint import has_guard
 from madviz.policies.guarded import unguarded
-from madviz.session.commands import Command, Play, Scrub, SetPolicy
+from madviz.session.commands import (
+    Command,
+    Play,
+    Scrub,
+    SetPolicy,
+    SetSchedule,
+    SetSpeed,
+)
 from madviz.session.frame import Frame, NoFrame
 from madviz.system.markdown import markdown_table
 
@@ -282,7 +289,13 @@ class Tour:
             shade.on_click(heard(lambda event: theme(gui, event.target.value == "light")))
 
     def remove(self) -> None:
-        """Takes all of it off the page, without touching the simulation."""
+        """Takes all of it off the page. The simulation stays as it is, but for another task: there,
+        failures and pace are those from before the tour."""
+        frame = self._newest()
+        start = self._start
+        if isinstance(frame, Frame) and start is not None and self._panel is not None:
+            if frame.world.env.task != start.world.env.task:
+                self._do((SetSchedule(start.schedule), SetSpeed(start.pace.speed)))
         if self._panel is not None:
             self._panel.remove()
             self._panel = None

@@ -83,6 +83,7 @@ def side_labels(policies: Sequence[PolicySpec]) -> list[str]:
 
 def _side(label: str, outcome: Outcome, paths: HandPaths | None, rate_of: RateOf) -> EndedSide:
     rate = rate_of(outcome.policy, outcome.last or Condition("all"))
+    label = label if outcome.alone else f"{label} (it acted last)"
     departure = (paths.largest, paths.differ_at) if paths is not None else None
     return EndedSide(label, outcome.success, rate, outcome.deeds, departure)
 
@@ -121,16 +122,16 @@ def guess_words(guess: str, winners: Sequence[str]) -> str:
 def needs_words(label: str, all_cameras: SuccessRate, without: Mapping[str, SuccessRate]) -> str:
     """``Merged Only needs First person: without it, 0.00 [0.00, 0.04] n=100.`` ``without``: a rate
     for each of three cameras or more, by its label. A camera is needed where the interval lies
-    below half of the success with all; that none is needed is said where every interval lies above
-    it. '' where neither is decided."""
-    half = all_cameras.value / 2
+    below half of the success with all, whatever that is within its own interval; that none is
+    needed is said where every interval lies above it. '' where neither is decided."""
+    low, high = (end / 2 for end in all_cameras.interval)
     if len(without) < 3 or not all(rate.n for rate in (all_cameras, *without.values())):
         return ""
-    needed = {camera: rate for camera, rate in without.items() if rate.interval[1] < half}
+    needed = {camera: rate for camera, rate in without.items() if rate.interval[1] < low}
     if needed:
         rates = _listed([str(rate) for rate in needed.values()])
         return f"{label} needs {_listed(list(needed))}: without it, {rates}."
-    if any(rate.interval[0] <= half for rate in without.values()):
+    if any(rate.interval[0] <= high for rate in without.values()):
         return ""
     worst = min(without.values(), key=lambda rate: rate.value)
     lowest = str(worst)

@@ -15,7 +15,7 @@ from madviz.observation.ablation import Ablation
 from madviz.observation.condition import Condition
 from madviz.session.frame import Deed, Outcome
 from madviz.subsets import camera_of
-from madviz.types import CameraSpec, PolicySpec, TimeStep
+from madviz.types import CameraSpec, Policy, PolicySpec, PolicyWithMemory, TimeStep
 
 WORST = {"off": "was dropped", "occluded": "was broken", "moved": "stood elsewhere"}
 """The words for a camera that is as in training again, by the worst that it was."""
@@ -36,6 +36,8 @@ class EpisodeRecord:
     """By camera that is not as in training: how, in words, and since which decision."""
     last: Condition | None = None
     """The one of the last decision."""
+    remembers_all: bool = True
+    """False where the policy, or its guard, has a memory that began after the first decision."""
 
     def arrived(self, time_step: TimeStep) -> None:
         """Counts a decision's reward and success."""
@@ -71,6 +73,11 @@ class EpisodeRecord:
         self.last = condition
         self.decisions += 1
 
+    def swapped(self, policy: Policy) -> None:
+        """``policy`` acts from here on."""
+        if self.decisions and isinstance(policy, PolicyWithMemory):
+            self.remembers_all = False
+
     def deeds(self, cameras: Iterable[CameraSpec]) -> tuple[Deed, ...]:
         """The change of each of ``cameras``, in words."""
         return tuple(
@@ -84,7 +91,8 @@ class EpisodeRecord:
     ) -> Outcome:
         """The result of the episode, which has ended."""
         cameras = list(cameras)
-        only = next(iter(self.conditions))[1] if len(self.conditions) == 1 else None
+        whole = self.remembers_all and len(self.conditions) == 1
+        only = next(iter(self.conditions))[1] if whole else None
         return Outcome(
             policy=spec,
             seed=seed,
@@ -93,6 +101,7 @@ class EpisodeRecord:
             condition=only,
             last=self.last,
             deeds=self.deeds(cameras),
+            alone=len({policy for policy, _ in self.conditions}) <= 1,
         )
 
     def copy(self) -> EpisodeRecord:

@@ -94,6 +94,8 @@ class Outcome:
     """The condition of the last decision."""
     deeds: tuple[Deed, ...] = ()
     """The cameras that were not as in training, in the order of the environment."""
+    alone: bool = True
+    """Whether no other policy took a decision."""
 
 
 Side = tuple[PolicySpec, Condition | None]

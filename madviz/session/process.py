@@ -177,6 +177,8 @@ class SessionProcess(LiveSession):
                 ends.clear()
                 self._wanted.clear()
                 again = "Choose another policy, or press Play to start it again."
+                if self._shown is not None:  # What can be left out may be what ends it.
+                    self._shown = replace(self._shown, second=None, explained=None)
                 self._publish(NoFrame("", f"{words} That was the third time in a minute. {again}"))
                 self._wanted.wait()
             else:

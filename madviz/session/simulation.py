@@ -303,6 +303,7 @@ class Simulation:
         self.ablation = ablation
         self._settled = ablation
         self.change = None
+        self.record.swapped(policy)
         self.journal.note(self.now.step, SavedPolicy.of(policy.spec))
 
     def snapshot(self) -> Snapshot:

@@ -181,6 +181,10 @@ class Stage:
             b.step(live.now.step)
         self._run_plan()
         if live.ended and b is not None:
+            while b.goes_on:  # Where success ends an episode, A's may be the shorter one.
+                if self._complete:
+                    self._retraces.note(b.simulation)
+                b.step(b.simulation.now.step + 1)
             pair = b.concluded(live.outcomes[-1])
             if pair is not None:
                 self._pairs.append(pair)

@@ -54,7 +54,7 @@ class AuditPanel(HtmlPanel):
             )
             start = gui.add_button("start audit", hint=HINTS["start"])
             stop = gui.add_button("stop audit", hint=HINTS["stop"])
-            on_use(start, lambda *_: self._start(int(episodes.value)))
+            on_use(start, lambda *_: self._start(episodes.value))
             on_use(stop, lambda *_: audit.stop())
             cells = [Cell(episodes, 1, 4, "5em"), Cell(start, 5, 4), Cell(stop, 9, 4)]
             self.handles = place(gui, "audit", 12, cells)
@@ -62,10 +62,10 @@ class AuditPanel(HtmlPanel):
             gui, frame, lambda frame: audit_html(frame, audit.status(), audit.measures)
         )
 
-    def _start(self, episodes: int) -> None:
+    def _start(self, episodes: str) -> None:
         frame = self._newest() if self._newest else None
-        if isinstance(frame, Frame):
-            self._audit.start(frame, episodes)
+        if isinstance(frame, Frame) and episodes in EPISODES:  # viser does not look.
+            self._audit.start(frame, int(episodes))
 
     def update(self, frame: Frame) -> list[Assign]:
         status = self._audit.status()

@@ -21,6 +21,7 @@ from madviz.drawing.colours import BAD, FAINT, GOOD, MUTED, NOTE, camera_colours
 from madviz.guard.policy import SUFFIX
 from madviz.measure.statistics import SuccessRate, pair
 from madviz.observation.condition import Condition
+from madviz.policies.guarded import unguarded
 from madviz.session.camera_names import subset_label
 from madviz.session.ending import guard_words, needs_words
 from madviz.session.frame import Frame, Outcome
@@ -61,7 +62,8 @@ class SuccessPanel(WidgetPanel):
         """By side: what is measured for it."""
         self._known: dict[Hashable, tuple[Outcome, ...]] = {}
         self._specs: dict[tuple[str, bool], PolicySpec] = {}
-        """The policies that acted here, by name and whether they had a guard."""
+        """The policies that acted here, by what they were loaded from, without a guard and with
+        one."""
         self._curve = Curve()
         self._bars = gui.add_html(bars_html(frame, rates))
         self._strip = gui.add_html(strip_html(frame))
@@ -126,9 +128,9 @@ class SuccessPanel(WidgetPanel):
         sentences = []
         for _, side in self._sides(frame):
             spec = side.world.policy
-            name = spec.name.removesuffix(SUFFIX)
-            self._specs[name, spec.name != name] = spec
-            both = [self._specs.get((name, guarded)) for guarded in (True, False)]
+            loaded = unguarded(side.world.reference)
+            self._specs[loaded, spec.name.endswith(SUFFIX)] = spec
+            both = [self._specs.get((loaded, guarded)) for guarded in (True, False)]
             known = [self._rates.outcomes(one, side.condition) if one else {} for one in both]
             words = guard_words(pair(*known)) if side.condition.key() else ""
             label = f"{label_of(spec)}: " if frame.second is not None and words else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from math import isnan
 
 import viser
 
@@ -205,7 +206,10 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
     for name, side, done in (("A", frame, change), ("B", second, other)):
         rate = rates.best(side.world.policy, done.condition_after)
         known = f", success measured {rate.value:.2f} (n={rate.n})" if rate.n else ""
-        parts.append(f"{name}'s action changed by {done.action_change:.2f}{known}")
+        effect = f"{name}'s action changed by {done.action_change:.2f}"
+        if isnan(done.action_change):
+            effect = f"{name} {'can act again' if done.acts else 'cannot act on that'}"
+        parts.append(f"{effect}{known}")
     return f"{deed(change, frame.world.env)}: {'; '.join(parts)}"
 
 

@@ -72,7 +72,7 @@ export class Success {
 /**
  * Which cameras a policy needs, from what was measured without each: `Merged Only needs First person:
  * without it, 0.00 [0.00, 0.04] n=100.` A camera is needed where the interval lies below half of the
- * success with all; '' where that is not decided.
+ * success with all, whatever that is within its own interval; '' where that is not decided.
  * @param {Pick<Entry, 'label' | 'cameras' | 'measured'>} entry
  */
 export function needsWords({label, cameras, measured}) {
@@ -82,12 +82,13 @@ export function needsWords({label, cameras, measured}) {
     return rate ? [{camera, rate, words: rateWords(rate.success, rate.ci95, rate.n)}] : [];
   });
   if (!all || cameras.length < 3 || without.length < cameras.length) return '';
-  const needed = without.filter(({rate}) => rate.ci95[1] < all.success / 2);
+  const [low, high] = all.ci95.map(end => end / 2);
+  const needed = without.filter(({rate}) => rate.ci95[1] < low);
   if (needed.length) {
     return `${label} needs ${listed(needed.map(({camera}) => camera))}: without it, ${
       listed(needed.map(({words}) => words))}.`;
   }
-  if (without.some(({rate}) => rate.ci95[0] <= all.success / 2)) return '';
+  if (without.some(({rate}) => rate.ci95[0] <= high)) return '';
   const worst = without.reduce((one, other) => other.rate.success < one.rate.success ? other : one);
   return `${label} needs no single camera: without any one, at least ${worst.words}.`;
 }
