@@ -175,7 +175,8 @@ def _check_subsets(path: Path, grid: Grid, subsets: Sequence[str]) -> None:
         return  # Only madviz's own cameras are known here.
     merges, cameras = (_values(options.get(key, "")) for key in ("merge", "camera"))
     for name, where, merge, camera in product(grid.methods, grid.settings, merges, cameras):
-        chosen, place = method(name), setting(where)
+        chosen = method(name)
+        place = setting(where)
         support = MERGES[chosen.merge_for(place.streams, merge)].support
         alone = chosen.one_camera and (camera or place.cameras[0])
         streams = tuple(s for s in place.streams if not alone or camera_of(s) == alone)
