@@ -183,6 +183,7 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
         ("observation", look(state="x"), "expected 6 finite numbers"),
         ("dance", {}, "expected hello, episode_start or observation, found 'dance'"),
         ("observation", 3, "expected a message with type and payload"),
+        ("episode_start", {"seed": "first"}, "expected a whole number as the seed, found 'first'"),
     ],
 )
 def test_a_look_that_will_not_do_is_answered_in_words_and_the_next_one_works(kind, payload, said):

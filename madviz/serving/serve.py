@@ -207,8 +207,10 @@ class PolicyServer:
         if kind == "hello":
             return "hello", self._greeting()
         if kind == "episode_start":
-            seed = payload.get("seed", 0)
-            episodes.begin(seed if isinstance(seed, int) and seed >= 0 else 0)
+            seed = payload.get("seed")
+            if seed is not None and (not isinstance(seed, int) or seed < 0):
+                raise BadLook(f"expected a whole number as the seed, found {seed!r:.40}")
+            episodes.begin(seed or 0)
         elif kind == "observation":
             state = payload.get("state", payload.get("states"))
             with self._computing, one_thread():
