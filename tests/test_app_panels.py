@@ -6,15 +6,16 @@ import asyncio
 import re
 from base64 import b64decode
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from msgspec import structs
 
-from madviz.app.connection import _forgive, is_too_late
+from madviz.app.connection import CROSSED, _bound, _forgive, is_too_late
 from madviz.app.keys import Keys
-from madviz.app.panel import CROSSED, Assign, apply
+from madviz.app.panel import Assign, apply
 from madviz.app.panels.breaks import BreakPanel
 from madviz.app.panels.cameras import CamerasPanel, switched
 from madviz.app.panels.features import FeaturesPanel, curve_point, features_html
@@ -518,20 +519,21 @@ def test_an_ablation_of_cameras_that_are_off_is_no_other_setting():
     assert Condition("all", (("first", black.occlusion),)).key() != ""
 
 
-def test_a_message_that_woke_nobody_stops_no_other():
-    class Handle:
-        def __setattr__(self, name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-            if value == "crossed":
-                raise RuntimeError(CROSSED)
-            if value == "broken":
-                raise RuntimeError("something else")
+def test_a_message_that_woke_nobody_wakes_the_sender_from_its_own_thread():
+    woken: list[object] = []
 
-    first, second = Handle(), Handle()
-    apply([Assign(first, "content", "crossed"), Assign(second, "content", "fine")])
-    assert (first.content, second.content) == ("crossed", "fine")  # type: ignore[attr-defined]
+    def queue(message: str) -> None:
+        raise RuntimeError(message)
+
+    loop = SimpleNamespace(call_soon_threadsafe=woken.append)
+    event = SimpleNamespace(set="set")
+    waiting = SimpleNamespace(event_loop=loop, message_event=event, message_from_id={}, done=False)
+    page = SimpleNamespace(queue_message=queue, get_message_buffer=lambda: waiting)
+    _bound(page, None)  # type: ignore[arg-type]
+    page.queue_message(CROSSED)
+    assert woken == ["set"]
     with pytest.raises(RuntimeError, match="something else"):
-        apply([Assign(first, "content", "broken")])
+        page.queue_message("something else")
 
 
 def test_a_touch_that_crosses_the_end_of_its_panels_is_no_fault(server):

@@ -59,6 +59,8 @@ TAKEN = frozenset(
 )
 """The kinds of messages that the page sends: where one looks from, widgets, keys, clicks on a
 frustum, and a camera that is moved by its arrows. A page that sends more must add it here."""
+CROSSED = "deque mutated during iteration"
+"""What asyncio says of an event that is set from another thread."""
 MISTAKES = (ArithmeticError, AssertionError, LookupError, TypeError, ValueError)
 """The errors that a message raises which no page sends."""
 
@@ -193,14 +195,24 @@ def _forgive(handlers: Any, pages: Mapping[int, Any]) -> None:
 
 
 def _bound(page: Any, connection: ServerConnection) -> None:
-    """Lets go of the browser of ``page`` once too much waits for it."""
+    """Lets go of the browser of ``page`` once too much waits for it.
+
+    viser wakes its sender with an asyncio event, from our thread, and asyncio's events do not
+    expect that: now and then one is set while the sender stops waiting for it. By then the message
+    lies in viser's buffer, so it is enough to wake the sender from its own thread.
+    """
     queue = page.queue_message
     waiting = page.get_message_buffer()
 
     def queue_message(message: Any) -> None:
         if len(waiting.message_from_id) >= MOST_UNSENT and not waiting.done:
             waiting.event_loop.call_soon_threadsafe(connection.transport.abort)
-        queue(message)
+        try:
+            queue(message)
+        except RuntimeError as error:
+            if str(error) != CROSSED:
+                raise
+            waiting.event_loop.call_soon_threadsafe(waiting.message_event.set)
 
     page.queue_message = queue_message
 

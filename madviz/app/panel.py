@@ -46,21 +46,12 @@ class Panel(Protocol):
         point for each. By default a panel does nothing with it."""
 
 
-CROSSED = "deque mutated during iteration"
-
-
 def apply(changes: list[Assign]) -> None:
-    """Assigns, leaving out what is there already; inside an ``atomic`` block.
-
-    viser wakes its sender with an asyncio event, from our thread, and asyncio's events do not
-    expect that: now and then one is set while the sender stops waiting for it. By then the message
-    lies in viser's buffer, and the end of the block wakes the sender again, so nothing is lost.
-
-    What another thread has taken off the page meanwhile is left out, too.
-    """
+    """Assigns, leaving out what is there already; inside an ``atomic`` block. What another thread
+    has taken off the page meanwhile is left out, too."""
     for handle, name, value in changes:
         try:
             setattr(handle, name, value)
         except RuntimeError as error:
-            if str(error) != CROSSED and not is_too_late(error):
+            if not is_too_late(error):
                 raise
