@@ -417,7 +417,7 @@ def test_frames_of_an_answer_that_failed_and_of_a_whole_look_are_those_that_came
         with pytest.raises(UserError, match="nothing"):
             seen(3)
     assert seen(3) == [1, 2, 3], "the look was sent again"
-    whole = np.repeat(np.uint8([5, 6, 7]), 3) * np.ones((84, 84, 1), np.uint8)
+    whole = np.repeat(np.array([5, 6, 7], np.uint8), 3) * np.ones((84, 84, 1), np.uint8)
     episodes.act(dict.fromkeys(policy.spec.streams, whole), np.zeros(6))
     assert seen(8) == [6, 7, 8]
 
