@@ -60,7 +60,7 @@ TAKEN = frozenset(
 """The kinds of messages that the page sends: where one looks from, widgets, keys, clicks on a
 frustum, and a camera that is moved by its arrows. A page that sends more must add it here."""
 CROSSED = "deque mutated during iteration"
-"""What asyncio says of an event that is set from another thread."""
+"""The words of asyncio's error where an event is set from another thread."""
 MISTAKES = (ArithmeticError, AssertionError, LookupError, TypeError, ValueError)
 """The errors that a message raises which no page sends."""
 
