@@ -332,11 +332,13 @@ def test_what_a_visitor_has_chosen_outlives_a_change_of_task(server):
     session.ask(Pause(), SetSaliency("action"), ReadSubsets(True))
     await_that(lambda: asked.by)
     use(gui.find("Measure"), False)
+    page._prediction.take("yes", 1)
     session.ask(SetPolicy("elsewhere"))
     await_that(lambda: len([one for one in gui.added if one_is(one, "save the last 20")]) == 2)
     page.close()
     assert not gui.find("Measure", 1).value and asked.ever == {"toy-mad"}
     assert gui.find("Read every subset", 1).value
+    assert page._prediction.guess == "", "a guess is about the episode of its own task"
     page.clear()
 
 
@@ -368,6 +370,12 @@ def test_words_say_what_came_of_it_on_both_sides():
     assert frame.world.change is not None and frame.second is not None
     said = both_sides(frame.world.change, frame, rates)
     assert said.startswith("Third A dropped: A's action changed by ")
+    second = frame.second.world
+    assert second.change is not None
+    lost = replace(second.change, action_change=np.nan, acts=False)
+    unable = replace(frame.second, world=replace(second, change=lost))
+    said_of_b = both_sides(frame.world.change, replace(frame, second=unable), rates)
+    assert "; B cannot act on that" in said_of_b and "nan" not in said_of_b
     assert "; B's action changed by " in said
 
 

@@ -1,12 +1,13 @@
 """The audit on the page: what it asks of the workers, and what it shows meanwhile."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from madviz.app.live_audit import AuditStatus, LiveAudit
-from madviz.app.panels.audit import audit_html
+from madviz.app.panels.audit import AuditPanel, audit_html
 from madviz.app.success_rates import SuccessRates
 from madviz.errors import UserError
 from madviz.measure.audit.audit import audit
@@ -16,6 +17,7 @@ from madviz.measure.live import Request, Tally
 from madviz.measure.store import EpisodeResult
 from madviz.observation.condition import Condition
 from tests.fakes import FakePolicy
+from tests.pages import recorded, use
 from tests.sessions import frame_with
 
 FRAME = frame_with()
@@ -166,3 +168,20 @@ def test_a_policy_cannot_break_the_page_with_its_name():
         FRAME, AuditStatus("running", done.policy, done.plan, done.outcomes, labels)
     )
     assert np.isfinite(done.share)
+
+
+def test_only_a_number_that_is_offered_begins_an_audit(server):
+    begun: list[int] = []
+    audit_ = SimpleNamespace(
+        measures=True,
+        status=AuditStatus,
+        start=lambda frame, episodes: begun.append(episodes),
+        stop=lambda: None,
+    )
+    gui = recorded(server.gui)
+    panel = AuditPanel(gui, lambda: FRAME, FRAME, audit_)  # type: ignore[arg-type]
+    for value in ("1000000000", "all", "50"):
+        use(gui.find("Episodes"), value)
+        use(gui.find("start audit"))
+    assert begun == [50]
+    panel.remove()

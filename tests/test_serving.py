@@ -129,7 +129,7 @@ def test_several_episodes_at_the_same_time_do_not_mix():
 # --- What others send ---
 
 
-def told(socket, kind: str, payload: object) -> dict:
+def answered(socket, kind: str, payload: object) -> dict:
     socket.send(pack({"type": kind, "payload": payload, "seq": 5, "timestamp": 0.0}, "vla-eval"))
     return unpack(socket.recv(5))
 
@@ -148,7 +148,7 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
     policy, env = FakePolicy(), make_env("toy/reach")
     expected = evaluate(policy, ["all"], episodes=1, seed=5000).episodes[0]
     with serving(policy) as server, connect(server.address) as socket:
-        greeting = told(socket, "hello", {})["payload"]
+        greeting = answered(socket, "hello", {})["payload"]
         assert greeting["action_spec"]["actions"]["dims"] == 2
         assert greeting["madviz"]["wiring"]["masks"] is True
         begin = {"type": "episode_start", "payload": {}, "seq": 0, "timestamp": 0.0}
@@ -156,7 +156,7 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
         now, total = env.reset(5000), 0.0
         while not now.last:
             images = {camera.name: env.view(camera.name).rgb for camera in env.spec.cameras}
-            answer = told(socket, "observation", look(images=images, state=now.state))
+            answer = answered(socket, "observation", look(images=images, state=now.state))
             assert answer["seq"] == 5
             now = env.step(answer["payload"]["actions"])
             total += now.reward
@@ -188,10 +188,10 @@ def test_single_frames_are_stacked_by_the_server_as_they_are_here():
 )
 def test_a_look_that_will_not_do_is_answered_in_words_and_the_next_one_works(kind, payload, said):
     with serving(FakePolicy()) as server, connect(server.address) as socket:
-        answer = told(socket, kind, payload)
+        answer = answered(socket, kind, payload)
         assert answer["type"] == "error"
         pytest.raises(UserError, _raise, answer["payload"]["error"]).match(said)
-        assert told(socket, "observation", look())["type"] == "action"
+        assert answered(socket, "observation", look())["type"] == "action"
 
 
 class OwnShapes(FakePolicy):
@@ -224,10 +224,10 @@ def test_each_camera_arrives_in_its_own_height_and_width():
         with connect(server.address) as socket:
             pictures = {n: np.zeros((*s, 3), np.uint8) for n, s in policy.shapes.items()}
             twice = {**pictures, "first": np.zeros((96, 128, 3), np.uint8)}
-            assert told(socket, "observation", look(images=twice))["type"] == "action"
+            assert answered(socket, "observation", look(images=twice))["type"] == "action"
             assert policy.seen["first"].shape == (48, 64, 3)
             square = {**pictures, "first": np.zeros((64, 64, 3), np.uint8)}
-            said = told(socket, "observation", look(images=square))["payload"]["error"]
+            said = answered(socket, "observation", look(images=square))["payload"]["error"]
     assert "'first' as 48 by 64 pixels, or another size of that aspect, found 64 by 64" in said
 
 
@@ -275,7 +275,7 @@ def test_an_episode_of_vla_eval_that_ended_leaves_nothing_behind():
         picture = np.random.default_rng(0).integers(0, 255, (84, 84, 3), np.uint8)
         images = dict.fromkeys(look()["images"], picture)
         seen = [look(), look(images=images)]
-        return [told(socket, "observation", one)["payload"]["actions"] for one in seen]
+        return [answered(socket, "observation", one)["payload"]["actions"] for one in seen]
 
     with serving(networks()) as server, connect(server.address) as socket:
         first = acted(socket)
@@ -346,7 +346,7 @@ def test_pictures_in_a_table_are_not_taken_for_none(make, hidden, said):
 def test_an_action_that_is_none_does_not_go_out(broken, monkeypatch):
     monkeypatch.setattr(Reader, "act", lambda *_: np.array(broken))
     with serving(FakePolicy()) as server, connect(server.address) as client:
-        answer = told(client, "observation", look())
+        answer = answered(client, "observation", look())
     assert answer["type"] == "error"
     assert "expected a finite action of 2 numbers" in answer["payload"]["error"]
 
@@ -483,7 +483,7 @@ def test_a_player_that_cannot_be_closed_keeps_no_place(monkeypatch):
     with serving(FakePolicy()) as server:
         for _ in range(2):
             with connect(server.address) as socket:
-                assert told(socket, "observation", look())["type"] == "action"
+                assert answered(socket, "observation", look())["type"] == "action"
             until(lambda: not server._connections, 5.0)
 
 

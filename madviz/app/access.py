@@ -95,7 +95,7 @@ class Tries:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._wrong: OrderedDict[str, deque[tuple[float, str]]] = OrderedDict()
+        self._wrong: OrderedDict[str, deque[tuple[float, int]]] = OrderedDict()
 
     def too_many(self, address: str) -> bool:
         """Whether ``address`` has to wait."""
@@ -107,8 +107,9 @@ class Tries:
         before a restart asks once a second, and others may come from its address."""
         past = self._wrong.setdefault(address, deque(maxlen=TRIES))
         self._wrong.move_to_end(address)
-        if all(said != other for _, other in past):
-            past.append((self._clock(), said))
+        token = hash(said)  # Whole ones, of any length, would fill the memory.
+        if all(token != other for _, other in past):
+            past.append((self._clock(), token))
         if len(self._wrong) > MOST_ADDRESSES:
             self._wrong.popitem(last=False)
 

@@ -33,14 +33,7 @@ from madviz.app.tour_steps import (
 )
 from madviz.policies.checkpoint import has_guard
 from madviz.policies.guarded import unguarded
-from madviz.session.commands import (
-    Command,
-    Play,
-    Scrub,
-    SetPolicy,
-    SetSchedule,
-    SetSpeed,
-)
+from madviz.session.commands import Command, Play, Scrub, SetPolicy, SetSchedule, SetSpeed
 from madviz.session.frame import Frame, NoFrame
 from madviz.system.markdown import markdown_table
 
@@ -291,12 +284,12 @@ class Tour:
     def remove(self) -> None:
         """Takes all of it off the page. The simulation stays as it is, but for another task: there,
         failures and pace are those from before the tour."""
-        frame = self._newest()
-        start = self._start
-        if isinstance(frame, Frame) and start is not None and self._panel is not None:
-            if frame.world.env.task != start.world.env.task:
-                self._do((SetSchedule(start.schedule), SetSpeed(start.pace.speed)))
         if self._panel is not None:
+            frame = self._newest()
+            start = self._start
+            if start is not None and isinstance(frame, Frame):
+                if frame.world.env.task != start.world.env.task:
+                    self._do((SetSchedule(start.schedule), SetSpeed(start.pace.speed)))
             self._panel.remove()
             self._panel = None
         self._row.remove()

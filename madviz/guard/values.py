@@ -103,7 +103,7 @@ def read_values(file: Path, fit: str) -> GuardValues:
 
 
 def _fits(values: GuardValues) -> bool:
-    """Whether lengths and places agree, and every unit can be divided by."""
+    """The lengths agree, the places exist, and no unit is 0."""
     count = len(values.state)
     places = count > 0 and min(values.state) >= 0 and len(values.unit) == count
     return (

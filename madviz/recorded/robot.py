@@ -157,8 +157,9 @@ def robot_of(recordings: Recordings) -> Robot:
     )
 
 
-def robot_of_stranger(recordings: Recordings) -> Robot:
-    """The same for a policy that does not say which episodes it was trained on."""
+def robot_for_any_policy(recordings: Recordings) -> Robot:
+    """The robot of ``recordings``, for a policy that does not say which episodes it was trained
+    on."""
     return replace(robot_of(recordings), trained_on=frozenset())
 
 

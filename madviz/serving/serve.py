@@ -39,7 +39,7 @@ from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.recorded.known import is_recording, recordings_of
-from madviz.recorded.robot import Robot, robot_document, robot_of_stranger
+from madviz.recorded.robot import Robot, robot_document, robot_for_any_policy
 from madviz.serving.dry_run import dry_run
 from madviz.serving.episodes import BadLook, ServedEpisodes
 from madviz.system.hosts import new_token, port_error, same_token, stays_here, with_token
@@ -330,7 +330,7 @@ def run_serve(config: ServeConfig) -> None:
     robot = checkpoint.robot_of_policy(config.policy)
     if robot is None and is_recording(policy.spec.task):
         # It takes and gives scaled numbers, as all policies of recordings do in one process.
-        robot = robot_of_stranger(recordings_of(policy.spec.task))
+        robot = robot_for_any_policy(recordings_of(policy.spec.task))
     if config.check is not None:
         print("\n".join(dry_run(policy, robot, config.check)))
         return

@@ -95,7 +95,7 @@ class Outcome:
     deeds: tuple[Deed, ...] = ()
     """The cameras that were not as in training, in the order of the environment."""
     alone: bool = True
-    """Whether no other policy took a decision."""
+    """No other policy took a decision."""
 
 
 Side = tuple[PolicySpec, Condition | None]
@@ -365,12 +365,19 @@ def carried(ablation: Ablation, old: PolicySpec, new: PolicySpec) -> Ablation:
 
 def words(change: Change, env: EnvSpec) -> str:
     """``Third A dropped: action changed by 0.31, Q 12.1 → 9.8``."""
-    effect = f"action changed by {change.action_change:.2f}"
-    if not np.isfinite(change.action_change):
-        effect = f"this policy {'can act again' if change.acts else 'cannot act on that'}"
+    effect = action_words(change)
     if np.isfinite([change.q_before, change.q_after]).all():
         effect += f", Q {change.q_before:.1f} → {change.q_after:.1f}"
     return f"{deed(change, env)}: {effect}"
+
+
+def action_words(change: Change, side: str = "") -> str:
+    """``action changed by 0.31``, or ``this policy cannot act on that``. ``side``: whose it is,
+    where there are two."""
+    if not np.isfinite(change.action_change):
+        can = "can act again" if change.acts else "cannot act on that"
+        return f"{side or 'this policy'} {can}"
+    return f"{side}'s " * bool(side) + f"action changed by {change.action_change:.2f}"
 
 
 def deed(change: Change, env: EnvSpec) -> str:

@@ -181,7 +181,7 @@ def _check_subsets(path: Path, grid: Grid, subsets: Sequence[str]) -> None:
         alone = chosen.one_camera and (camera or place.cameras[0])
         streams = tuple(s for s in place.streams if not alone or camera_of(s) == alone)
         for subset in subsets:
-            mask_of(subset, place.streams)
+            mask_of(subset, place.streams)  # Refuses a name that no policy knows.
             known = {*subset.split("+")} <= groups(streams).keys()
             if not (known and support.allows(mask_of(subset, streams))):
                 words = support.words if known else ", ".join(groups(streams))

@@ -53,27 +53,27 @@ test('a file says who made it, and the hashes of what was done', async () => {
   assert.notEqual(file.episodes[0].sha256.actions, '0'.repeat(64));
 });
 
-/** @param {(episode: any, file: any) => void} spoil */
-async function spoilt(spoil) {
+/** @param {(episode: any, file: any) => void} change */
+async function changed(change) {
   const file = JSON.parse(await written());
-  spoil(file.episodes[0], file);
+  change(file.episodes[0], file);
   return JSON.stringify(file);
 }
 
 const WRONG = {
   'no JSON': async () => '{"schema": 1',
   'no object': async () => 'null',
-  'another schema': () => spoilt((_, file) => { file.schema = 2; }),
-  'no episode': () => spoilt((_, file) => { file.episodes = []; }),
-  'an unknown policy': () => spoilt(one => { one.policy.name = '<b>x</b>'; }),
-  'a seed that is a text': () => spoilt(one => { one.seed = '5000'; }),
-  'an unknown camera': () => spoilt(one => { one.commands[0].camera = '__proto__'; }),
-  'an unknown input': () => spoilt(one => { one.commands[0].input = 'x'; }),
-  'depth, where a policy has colour only': () => spoilt(one => { one.commands[0].input = 'depth'; }),
-  'a step below 0': () => spoilt(one => { one.commands[0].step = -1; }),
-  'a strength above 1': () => spoilt(one => { one.commands[0].occlusion.strength = 2; }),
-  'a move that is far': () => spoilt(one => { one.commands[1].move.right = 50; }),
-  'commands that are none': () => spoilt(one => { one.commands = [null]; }),
+  'another schema': () => changed((_, file) => { file.schema = 2; }),
+  'no episode': () => changed((_, file) => { file.episodes = []; }),
+  'an unknown policy': () => changed(one => { one.policy.name = '<b>x</b>'; }),
+  'a seed that is a text': () => changed(one => { one.seed = '5000'; }),
+  'an unknown camera': () => changed(one => { one.commands[0].camera = '__proto__'; }),
+  'an unknown input': () => changed(one => { one.commands[0].input = 'x'; }),
+  'depth, where a policy has colour only': () => changed(one => { one.commands[0].input = 'depth'; }),
+  'a step below 0': () => changed(one => { one.commands[0].step = -1; }),
+  'a strength above 1': () => changed(one => { one.commands[0].occlusion.strength = 2; }),
+  'a move that is far': () => changed(one => { one.commands[1].move.right = 50; }),
+  'commands that are none': () => changed(one => { one.commands = [null]; }),
 };
 
 for (const [name, make] of Object.entries(WRONG)) {

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
-from math import isnan
 
 import viser
 
@@ -26,7 +25,7 @@ from madviz.session.ending import (
     guess_words,
     side_labels,
 )
-from madviz.session.frame import Change, Frame, World, deed, untouched, words
+from madviz.session.frame import Change, Frame, World, action_words, deed, untouched, words
 from madviz.session.guard_words import guard_sentence
 
 ASKS = {1: "Will it still do it?", 2: "Which will still do it?"}
@@ -206,10 +205,7 @@ def both_sides(change: Change, frame: Frame, rates: SuccessRates) -> str:
     for name, side, done in (("A", frame, change), ("B", second, other)):
         rate = rates.best(side.world.policy, done.condition_after)
         known = f", success measured {rate.value:.2f} (n={rate.n})" if rate.n else ""
-        effect = f"{name}'s action changed by {done.action_change:.2f}"
-        if isnan(done.action_change):
-            effect = f"{name} {'can act again' if done.acts else 'cannot act on that'}"
-        parts.append(f"{effect}{known}")
+        parts.append(f"{action_words(done, name)}{known}")
     return f"{deed(change, frame.world.env)}: {'; '.join(parts)}"
 
 

@@ -53,7 +53,7 @@ from madviz.policies import checkpoint
 from madviz.policies.guarded import with_guard
 from madviz.policies.sb3 import trust
 from madviz.recorded.known import LABEL, allow_recording, recordings_of
-from madviz.recorded.robot import robot_of_stranger
+from madviz.recorded.robot import robot_for_any_policy
 from madviz.system.address import without_secrets
 from madviz.system.files import read_json, write_bytes, write_json, written_to
 from madviz.system.numbers import Count, Range, Seed, ThreadsOrNone
@@ -255,7 +255,7 @@ def _audit_recording(config: AuditConfig, folder: Path) -> RecordedAuditFile:
             f"expected a policy for {task}, found {policy.spec.name!r} for {policy.spec.task}; "
             "train one with madviz train --recording, or say the task in its --wire file"
         )
-    robot = robot or robot_of_stranger(recordings)
+    robot = robot or robot_for_any_policy(recordings)
     robot.check(recordings)
     _check_folder(config, policy)
     check_same_policy(config.out, policy, config.seed, f"{recordings.name} {recordings.whole}")
