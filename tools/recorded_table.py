@@ -15,6 +15,7 @@ from policy_files import LABELS
 from recorded_chain import (
     ACT,
     COUNT,
+    GUARD_SEEDS,
     GUARDED,
     METHODS,
     PLAIN,
@@ -69,21 +70,27 @@ def recorded() -> str:
 
 
 def complete() -> list[dict[str, str]]:
-    """The rows of those conditions that every policy of the design has, in its order, and ACT's."""
+    """The rows of those conditions that both trainings of every method have, in the design's
+    order, and ACT's."""
     with TABLE.open(newline="") as file:
         measured = list(csv.DictReader(file))
-    count = Counter(condition_of(row) for row in measured if row["method"] != ACT)
+    count = Counter(_group(row) for row in measured if row["method"] != ACT)
     kept = [
         row
         for row in measured
-        if row["method"] == ACT or count[condition_of(row)] == len(METHODS) * len(SEEDS)
+        if row["method"] == ACT or count[_group(row)] == len(METHODS) * len(SEEDS)
     ]
     return [row for one in (*PLAIN, *GUARDED) for row in kept if condition_of(row) == one]
 
 
+def _group(row: dict[str, str]) -> tuple[Condition, bool]:
+    """The condition, and whether the training is one of those that are played with the guard."""
+    return condition_of(row), int(row["seed"]) in GUARD_SEEDS
+
+
 def points(measured: Iterable[dict[str, str]]) -> list[Point]:
-    """Every camera of every policy, without the guard, in each way in which it was lost."""
-    kept = list(measured)
+    """Every camera of the policies that lost each one in each way, without the guard."""
+    kept = [row for row in measured if int(row["seed"]) in SEEDS]
     intact = {_policy(row): _successes(row) for row in kept if not row["camera"]}
     return [
         Point(
