@@ -113,7 +113,8 @@ def test_a_design_has_rows_of_the_front_page_once_it_is_complete(tmp_path: Path)
     assert merged.measured == (
         "reinforcement learning, toy/reach, no robot, 5 trainings, n = 50, development (read)"
     )
-    assert merged.sentence.endswith("**shown here**, +50 points on toy/reach, no robot.")
+    (headline,) = findings.headline_sentences([merged, single])
+    assert headline.endswith("alone: **shown here**, +50 points on toy/reach, no robot.")
     assert single.gap.value == pytest.approx(0.1), "of the one camera that both have"
     assert merged.measured in findings_table(design_tables(tmp_path))
 
@@ -188,6 +189,9 @@ def test_loss_and_episodes_are_told_apart(tmp_path: Path) -> None:
     recorded = "while their episodes were recorded"
     assert gaps["push", recorded] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
     assert gaps["push-cube", recorded] == pytest.approx((1 / 3 + 1 / 3 + 1) / 3)
+    loss, episodes = findings.headline_sentences(found)
+    assert "alpha 0.8: **not shown**, +33 points on push; **not shown**, +33 points" in loss
+    assert episodes.endswith(" points on push-cube.")
     assert {one.measured for one in found} >= {
         "imitation, push, 3 trainings, n = 9, development (read)"
     }

@@ -26,7 +26,7 @@ import measurements
 import package_tree
 import recorded_table
 import rewards_table
-from findings import findings_table, judged
+from findings import findings_table, headline_sentences, judged
 from measurements import table
 from policy_files import LABELS, ROOT, every_table, policies, rates, row
 
@@ -88,8 +88,11 @@ def headlines() -> str:
     found = judged(every_table())
     counts = Counter(one.verdict for one in found)
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-    sentences = [one.sentence for one in found if one.finding.headline]
-    lines = [*sentences, f"Of {len(found)} rows below: {said}.", guard_table.headline()]
+    lines = [
+        *headline_sentences(found),
+        f"Of {len(found)} rows below: {said}.",
+        guard_table.headline(),
+    ]
     return "".join(f"- {one}\n" for one in lines)
 
 

@@ -85,10 +85,9 @@ class Judged:
         return f"{self.finding.claim} ({self.finding.place})"
 
     @property
-    def sentence(self) -> str:
-        """The claim, the verdict and the difference, without the interval."""
-        size = f"{signed(self.gap.value)} points on {self.finding.place}"
-        return f"{self.finding.claim}: **{self.verdict}**, {size}."
+    def words(self) -> str:
+        """The verdict and the difference, without the interval."""
+        return f"**{self.verdict}**, {signed(self.gap.value)} points on {self.finding.place}"
 
 
 FINDINGS = (
@@ -215,7 +214,7 @@ FINDINGS = (
             ALONE,
             "MAD is ahead",
             # With alpha 0.25 MAD recorded the episodes: it alone learns from its own mistakes.
-            headline=task == PUSH and alpha == "alpha 0.8",
+            headline=alpha == "alpha 0.8",
         )
         for task in (PUSH, CUBE)
         for alpha in ("alpha 0.25", "alpha 0.8")
@@ -229,7 +228,7 @@ FINDINGS = (
             ("crossed", tuple(f"{loss}, all" for loss in LOSSES[task])),
             ALONE,
             "not asked",
-            headline=task == PUSH,
+            headline=True,
         )
         for task in (PUSH, CUBE)
     ),
@@ -250,6 +249,15 @@ def judged(tables: Sequence[ResultTable], claims: Sequence[Finding] = FINDINGS) 
             said = verdict(finding.expected, gap.interval, rewards, len(gap.trainings))
             found.append(Judged(finding, gap, measured, said))
     return found
+
+
+def headline_sentences(found: Sequence[Judged]) -> list[str]:
+    """A sentence for each claim that is a headline, with what was found on its tasks."""
+    claims = dict.fromkeys(one.finding.claim for one in found if one.finding.headline)
+    return [
+        f"{claim}: {'; '.join(one.words for one in found if one.finding.claim == claim)}."
+        for claim in claims
+    ]
 
 
 def findings_table(tables: Sequence[ResultTable]) -> str:
