@@ -14,6 +14,7 @@ from measurements import table
 from policy_files import LABELS
 from recorded_chain import (
     ACT,
+    BESIDE,
     COUNT,
     GUARD_SEEDS,
     GUARDED,
@@ -58,10 +59,10 @@ def recorded() -> str:
     if not any(one.what == "removed" for one in map(condition_of, measured)):
         return "Not every policy was evaluated yet; nothing is said before all are.\n"
     lines = []
-    for key in dict.fromkeys(map(condition_of, measured)):
-        ours = [row for row in measured if condition_of(row) == key]
+    for key in dict.fromkeys(map(_group, measured)):
+        ours = [row for row in measured if _group(row) == key]
         rates = [_rate(row for row in ours if row["method"] == method) for method in NAMES]
-        lines.append([_words(key), *rates])
+        lines.append([_words(*key), *rates])
     every = points(measured)
     act = [one for one in every if one.policy[0] == ACT]
     designed = [one for one in every if one not in act]
@@ -80,12 +81,15 @@ def complete() -> list[dict[str, str]]:
         for row in measured
         if row["method"] == ACT or count[_group(row)] == len(METHODS) * len(SEEDS)
     ]
-    return [row for one in (*PLAIN, *GUARDED) for row in kept if condition_of(row) == one]
+    order = [(one, False) for one in PLAIN] + [(one, True) for one in (*BESIDE, *GUARDED)]
+    return [row for one in order for row in kept if _group(row) == one]
 
 
 def _group(row: dict[str, str]) -> tuple[Condition, bool]:
-    """The condition, and whether the training is one of those that are played with the guard."""
-    return condition_of(row), int(row["seed"]) in GUARD_SEEDS
+    """The condition, and whether the training is played with the guard, too: one of its own
+    weights, or ACT's."""
+    condition = condition_of(row)
+    return condition, condition.guard or int(row["seed"]) in GUARD_SEEDS
 
 
 def points(measured: Iterable[dict[str, str]]) -> list[Point]:
@@ -177,12 +181,14 @@ def _verdict(low: float, high: float) -> str:
     return "the audit on recordings does not predict success"
 
 
-def _words(key: Condition) -> str:
+def _words(key: Condition, guarded: bool) -> str:
+    numbers = " and ".join(map(str, GUARD_SEEDS))
+    of = ", with the guard" if key.guard else f", trainings {numbers}" if guarded else ""
     if not key.camera:
-        return "all"
+        return f"all{of}"
     if key.what == "alone":
         return f"{LABELS[key.camera]} alone"
-    return f"{LABELS[key.camera]} {key.how}{', with the guard' if key.guard else ''}"
+    return f"{LABELS[key.camera]} {key.how}{of}"
 
 
 def _rate(ours: Iterable[dict[str, str]]) -> str:
