@@ -135,6 +135,8 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path, cache: Path)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size - 10, before[1]))
         with pytest.raises(UserError, match="expected room for decoded pictures, found: File too"):
             found.frames(0, 32)
+        with pytest.raises(UserError, match="expected room for decoded pictures"):
+            found.prepared(32)  # No episode is left out for it.
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not list(cache.iterdir())

@@ -106,8 +106,9 @@ def test_broken_actions_are_refused(env: Environment) -> None:
 def test_its_settings_are_its_own_cameras(small: Small) -> None:
     setting, cameras = choose(TASK, "three")
     assert setting.cameras == ("top", "wrist") and len(cameras) == 2
-    with pytest.raises(UserError, match="expected a setting without depth"):
-        choose(TASK, "three-rgbd")
+    for name in ("three-rgbd", "one-rgbd", "mixed-resolution", "turned-away"):
+        with pytest.raises(UserError, match="expected a setting without depth"):
+            choose(TASK, name)
     with pytest.raises(UserError, match="no cameras for the setting 'five'"):
         choose(TASK, "five")
 

@@ -68,7 +68,10 @@ def test_other_methods_learn_from_the_same_recordings(
     bench: Path, tmp_path: Path, method: str
 ) -> None:
     run(bench, tmp_path / method, method=method)
-    assert load_policy(tmp_path / method).spec.method == method
+    spec = load_policy(tmp_path / method).spec
+    assert spec.method == method
+    cameras = [camera.name for camera in read_robot(tmp_path / method).cameras]
+    assert cameras == list(spec.streams), "a client sends those that the policy sees"
 
 
 def test_an_episode_that_is_left_out_does_not_count_as_trained_on(
@@ -107,6 +110,21 @@ def test_a_training_does_not_go_on_with_other_recordings(bench: Path, tmp_path: 
         patch.setenv(VARIABLE, "")
         with pytest.raises(UserError, match="another configuration: held_out"):
             run(more, tmp_path / "mad", resume=True)
+
+
+def test_a_training_does_not_go_on_with_other_actions_of_the_same_episodes(
+    bench: Path, tmp_path: Path
+) -> None:
+    run(bench, tmp_path / "mad")
+    (tmp_path / "mad/resume/finished").unlink()
+    other = Small(episodes=4, films=False)
+    other.actions[:6] = other.actions[:6][::-1]
+    other.rows["action"] = list(other.actions)
+    other.write(tmp_path / "more" / "bench")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, "")
+        with pytest.raises(UserError, match="another configuration: recorded_numbers"):
+            run(tmp_path / "more" / "bench", tmp_path / "mad", resume=True)
 
 
 @pytest.mark.parametrize(

@@ -317,6 +317,28 @@ def test_nothing_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
     assert found.row is not None and found.row.evidence[0].folder == "b"
 
 
+def test_a_policy_of_cameras_of_ones_own_does_not_stand_for_the_task(tmp_path: Path) -> None:
+    own = write_policy(tmp_path, rates(1, 1, 1, 1), folder="own")
+    config = json.loads((own / "config.json").read_text())
+    config["training"]["command"] += " --cameras mine.toml"
+    (own / "config.json").write_text(json.dumps(config))
+    write_policy(tmp_path, GOOD, folder="b")
+    found = judge("metaworld/hammer", find_evidence(tmp_path)[0])
+    assert found.row is not None and found.row.evidence[0].folder == "b"
+
+
+def test_a_verdict_follows_from_the_interval_that_stands_beside_it(tmp_path: Path) -> None:
+    """Three trainings of few episodes that agree by chance show no difference."""
+    for seed in (1, 2, 3):
+        for method, rate in (("mad", 0.65), ("vib", 0.6)):
+            write_policy(
+                tmp_path, rates(rate, rate, rate, rate), recipe="paper", seed=seed, method=method,
+                merge="vib" if method == "vib" else "sum", episodes=20, folder=f"{method}{seed}",
+            )  # fmt: skip
+    (said,) = (one for one in claims(table(tmp_path, "scratch")) if "The paper reports" in one)
+    assert said.endswith(": undecided: no difference could be shown.")
+
+
 def test_methods_that_were_trained_often_are_compared_task_by_task(tmp_path: Path) -> None:
     """Push three times, hammer once: their average has one training of each."""
     for task, seeds in (("metaworld/hammer", (1,)), ("metaworld/push", (1, 2, 3))):

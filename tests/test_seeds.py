@@ -23,7 +23,7 @@ from madviz.measure.compare import CompareConfig, run_compare
 from madviz.measure.episodes import Runner
 from madviz.measure.evaluate import EvalConfig, run_eval
 from madviz.measure.evidence import find_evidence, read_evidence
-from madviz.measure.readings import LEDGER, readings
+from madviz.measure.readings import LEDGER, note_reading, readings
 from madviz.policies import checkpoint
 from madviz.policies.config import TrainingRecord, policy_config
 from madviz.policies.seeds import seeds_from, training_seed, use_of
@@ -251,6 +251,12 @@ def test_a_trial_of_the_guard_is_one_reading_however_often_it_goes_on(ledger: Pa
     for seeds in (range(5_000, 5_005), range(45_000, 45_005), range(45_000, 45_005)):
         note_trial(str(folder), seeds)
     assert [row[-2:] for row in readings(folder)] == [(45_000, 45_004)]
+
+
+def test_a_reading_that_lies_in_the_reporting_seeds_in_part_counts(ledger: Path) -> None:
+    folder = ledger.parent.parent / "checkpoints" / "toy"
+    note_reading(folder, "toy", "toy/reach", "d", range(39_998, 40_002))
+    assert [row[-2:] for row in readings(folder)] == [(40_000, 40_001)]
 
 
 def test_only_policies_that_the_repository_shows_are_in_its_ledger(ledger: Path) -> None:

@@ -208,6 +208,11 @@ def test_the_time_left_counts_what_runs_and_what_waits() -> None:
     # The running one says that it will take 140 s in all: the mean is 120.
     expected["b"] = 140.0
     assert watch.seconds_left() == pytest.approx((3 * 120 + 90) / 2)
+    # Another sweep finished one of those that waited: it took no time here.
+    third = Run("c", (), ())
+    watch.began(third)
+    watch.ended(third, RunOutcome("finished"))
+    assert watch.seconds_left() == pytest.approx((2 * 120 + 90) / 2)
 
 
 def test_a_training_says_how_long_it_will_take(tmp_path: Path) -> None:

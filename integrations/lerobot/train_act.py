@@ -66,7 +66,21 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--learning-rate", type=float, default=3e-4, help="at the start")
     parser.add_argument("--action-steps", type=int, default=5, help="actions taken from one look")
     parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
+    asked = parser.parse_args()
+    check_same(asked)
+    return asked
+
+
+def check_same(asked: argparse.Namespace) -> None:
+    """Ends where the folder has a training with other options."""
+    file = asked.out / "training.json"
+    before = json.loads(file.read_text()) if file.exists() else {}
+    for name, value in vars(asked).items():
+        if name in before and name != "out" and before[name] != str(value):
+            raise SystemExit(
+                f"{asked.out}: expected --{name.replace('_', '-')} {before[name]}, with which its "
+                f"training began, found {value}; choose another --out"
+            )
 
 
 class Demonstrations:

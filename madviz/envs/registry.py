@@ -182,17 +182,21 @@ def choose(
     names, where the setting asks for the usual three.
     Raises UserError for unknown names and bad files."""
     own = custom.is_own(task) or is_recording(task)
-    if file is None and not (own and setting(name).usual):
-        return setting(name), setting_cameras(task, name)
-    if file and not setting(name).usual:
+    wanted = setting(name)
+    if is_recording(task) and (wanted.sizes or wanted.elsewhere or "depth" in wanted.modalities):
+        raise UserError(
+            f"expected a setting without depth, sizes and places of its own for {task}, found "
+            f"{name!r}; pick three"
+        )
+    if file is None and not (own and wanted.usual):
+        return wanted, setting_cameras(task, name)
+    if file and not wanted.usual:
         raise UserError(
             f"expected --cameras without a setting that has cameras of its own, found {name!r}; "
             "leave one of them out"
         )
     cameras = read_cameras(file) if file else env_spec(task).cameras
-    if is_recording(task) and "depth" in setting(name).modalities:
-        raise UserError(f"expected a setting without depth for {task}, found {name!r}; pick three")
-    return Setting(tuple(c.name for c in cameras), setting(name).modalities), cameras
+    return Setting(tuple(c.name for c in cameras), wanted.modalities), cameras
 
 
 def sees(env: EnvSpec, cameras: tuple[CameraSpec, ...]) -> bool:

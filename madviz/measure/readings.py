@@ -60,11 +60,12 @@ def readings(folder: Path) -> list[Reading]:
 
 
 def note_reading(folder: Path, policy: str, task: str, digest: str, seeds: Collection[int]) -> None:
-    """Adds a row to the ledger that ``folder`` belongs to, where ``seeds`` are reporting seeds."""
+    """Adds a row to the ledger that ``folder`` belongs to, for the reporting ones of ``seeds``."""
     ledger = ledger_of(folder)
-    if ledger is None or use_of(seeds) != REPORTING:
+    read = [seed for seed in seeds if use_of([seed]) == REPORTING]
+    if ledger is None or not read:
         return
-    row = Reading(date.today().isoformat(), policy, task, digest, min(seeds), max(seeds))
+    row = Reading(date.today().isoformat(), policy, task, digest, min(read), max(read))
     with ledger.open("a", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(row)
 

@@ -21,6 +21,10 @@ from madviz.system.files import replacing
 from madviz.types import Array
 
 
+class CacheError(UserError):
+    """The cache cannot be written, which is no fault of an episode."""
+
+
 def packed(
     name: str,
     sources: Iterable[Path],
@@ -30,8 +34,8 @@ def packed(
 ) -> Array:
     """(T, V, size, size, 3) uint8, a read-only map of the file for ``name``, which is made if it is
     not there: ``pictures`` are (step, camera, picture (H, W, 3)) in any order. ``sources`` and
-    ``facts`` are what they are made from. Raises UserError if it cannot be written, and for a
-    source that is gone."""
+    ``facts`` are what they are made from. Raises CacheError if it cannot be written, and
+    UserError for a source that is gone."""
     digest = hashlib.sha256(repr((facts, shape)).encode())
     for path in sources:
         try:
@@ -52,7 +56,7 @@ def packed(
             _write(part, shape, pictures)
         return np.load(file, mmap_mode="r")
     except OSError as error:
-        raise UserError(
+        raise CacheError(
             f"{file.parent}: expected room for decoded pictures, found: {error.strerror}; make "
             "room there, or set XDG_CACHE_HOME to another place"
         ) from error

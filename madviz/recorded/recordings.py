@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from madviz.errors import UserError
-from madviz.recorded.cache import packed
+from madviz.recorded.cache import CacheError, packed
 from madviz.recorded.description import Description, RecordedCamera, read_description
 from madviz.recorded.episodes import Location, RecordedEpisode, find_episodes, numbers_of
 from madviz.recorded.films import film_pictures, table_pictures
@@ -76,9 +76,12 @@ class Recordings:
         return packed(name, sources, facts, shape, self._pictures(location))
 
     def fault(self, episode: int, size: int) -> str:
-        """Why the pictures of an episode cannot be decoded, in one line; '' where they can be."""
+        """Why the pictures of an episode cannot be decoded, in one line; '' where they can be.
+        Raises CacheError where they cannot be kept."""
         try:
             self.frames(episode, size)
+        except CacheError:
+            raise
         except UserError as error:
             return f"episode {episode}: {error}"
         return ""

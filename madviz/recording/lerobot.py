@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -160,6 +161,8 @@ def write_dataset(
 
 def check_folder(out: Path) -> None:
     """Raises UserError unless ``out`` can become a new folder."""
+    if os.path.ismount(out):
+        raise UserError(f"--out {out}: expected a new folder, found a mount; name one in it")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UserError(
             f"--out {out}: expected a new folder, found one that is not empty; choose another"

@@ -3,7 +3,7 @@
 Only the paper's side is written down here. Our side is a paired difference with its 95% interval.
 The paper's numbers are means over five trainings by reinforcement learning. So a verdict is given
 only on rows that were trained by reinforcement learning too, each of them several times; then it
-follows from where the interval over trainings (Student's) lies:
+follows from where the difference's interval lies, the one that stands beside it:
 
     interval        paper: +0.30       words
     [+0.40, +0.60]  below it           agrees in direction; the lead is larger than the paper's
@@ -22,7 +22,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from madviz.agent.methods import METHODS
-from madviz.measure.formulas import student
 from madviz.measure.statistics import Interval
 from madviz.report.layouts import COMPONENTS, MERGES, THREE
 from madviz.report.rows import Difference, Row, difference
@@ -45,7 +44,7 @@ def beside(table: ResultTable, gap: Difference, judge: Judge) -> str:
     """``: agrees ...`` where the setting allows a verdict, and otherwise nothing."""
     if table.imitation or len(gap.trainings) < SEVERAL:
         return ""
-    return f": {judge(student([[[each] for each in gap.trainings]], least=-1.0))}"
+    return f": {judge(gap.interval)}"
 
 
 def verdict(interval: Interval, claim: float | None = None) -> str:

@@ -85,7 +85,7 @@ def build(layout: Layout, evidence: Sequence[Evidence]) -> list[ResultTable]:
     suite = [policy for policy in evidence if not policy.own_cameras]
     chosen = [(label, policy) for policy in suite if (label := layout.label(policy))]
     if layout.alphas != "all":
-        usual = usual_alphas(evidence)
+        usual = usual_alphas(suite)
         others = [pair for pair in chosen if pair[1] not in usual]
         chosen = [pair for pair in chosen if pair[1] in usual]
         if layout.alphas == "named":

@@ -239,11 +239,13 @@ class Watch:
         if outcome.state in ("busy", "stopped"):
             return
         self._left -= 1
-        if outcome.state == "finished":
+        how = f"finished in {duration(outcome.seconds)}"
+        if outcome.state != "finished":
+            self._failed += 1
+        elif outcome.seconds:
             self._seconds.append(outcome.seconds)
         else:
-            self._failed += 1
-        how = f"finished in {duration(outcome.seconds)}"
+            how = "was finished by another sweep"
         if outcome.state == "failed":
             how = f"failed: {outcome.error}"
         self.say(f"{self._total - self._left} of {self._total}: {run.name} {how}{self._rest()}")

@@ -133,7 +133,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def new_folder(out: Path) -> Iterator[Path]:
     """A folder to write to; after the block it is ``out``, which must not be there or be empty.
     Whoever finds ``out`` finds all of it. If the block fails, nothing stays."""
-    part = Path(tempfile.mkdtemp(dir=out.resolve().parent, prefix=PART))
+    out = out.resolve()  # ``.`` and a link cannot be removed.
+    part = Path(tempfile.mkdtemp(dir=out.parent, prefix=PART))
     try:
         yield part
         part.chmod(0o755)  # mkdtemp's folders are private; these are to be shared.

@@ -322,6 +322,8 @@ def identity(config: TrainConfig, plan: TrainingPlan) -> dict[str, Any]:
         facts["recorded"] = [[one.index, one.length] for one in found.episodes]
         facts["scalings"] = [scaling.to_json() for scaling in found.scalings()]
         facts["held_out"] = list(found.held_out)
+        facts["recorded_numbers"] = found.whole
+        facts["recorded_cameras"] = [asdict(camera) for camera in found.cameras]
     return facts
 
 

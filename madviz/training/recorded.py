@@ -123,7 +123,9 @@ class RecordedRun(LightRun):
         if not training:
             raise UserError(f"{known.path}: expected a whole episode to learn from, found none")
         digests = frozenset(map(known.digest, training))
-        self.robot = replace(robot_of(known), trained_on=digests)
+        robot = robot_of(known)
+        seen = tuple(one for one in robot.cameras if one.name in plan.spec.streams)
+        self.robot = replace(robot, cameras=seen, trained_on=digests)
         allow_open_files(len(whole))
         self.data = RecordedDataset(recordings, training, self.robot, plan)
         self.look_at(np.arange(len(self.data)))
