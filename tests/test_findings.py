@@ -190,7 +190,7 @@ def test_loss_and_episodes_are_told_apart(tmp_path: Path) -> None:
     assert gaps["push", recorded] == pytest.approx((1 / 3 + 1 / 3 + 1 + 1) / 4)
     assert gaps["push-cube", recorded] == pytest.approx((1 / 3 + 1 / 3 + 1) / 3)
     loss, episodes = findings.headline_sentences(found)
-    assert "alpha 0.8: **not shown**, +33 points on push; **not shown**, +33 points" in loss
+    assert "alpha 0.8: **not shown**, +33 points on push. And **not shown**, +33 points" in loss
     assert episodes.endswith(" points on push-cube.")
     assert {one.measured for one in found} >= {
         "imitation, push, 3 trainings, n = 9, development (read)"

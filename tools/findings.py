@@ -255,7 +255,7 @@ def headline_sentences(found: Sequence[Judged]) -> list[str]:
     """A sentence for each claim that is a headline, with what was found on its tasks."""
     claims = dict.fromkeys(one.finding.claim for one in found if one.finding.headline)
     return [
-        f"{claim}: {'; '.join(one.words for one in found if one.finding.claim == claim)}."
+        f"{claim}: {'. And '.join(one.words for one in found if one.finding.claim == claim)}."
         for claim in claims
     ]
 
