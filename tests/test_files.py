@@ -19,6 +19,7 @@ from madviz.system.files import (
     LINE,
     OTHERS,
     allow_open_files,
+    new_folder,
     pretty,
     read_json,
     replacing,
@@ -216,3 +217,17 @@ def test_many_files_may_be_open_where_the_system_lets_them(
     assert limits == [2000 + OTHERS, 4096]
     with pytest.raises(UserError, match="found a limit of 4096; raise it"):
         allow_open_files(5000)
+
+
+@pytest.mark.parametrize("place", [".", "link"])
+def test_a_new_folder_may_be_where_one_stands_or_behind_a_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    (tmp_path / "link").symlink_to(there)
+    monkeypatch.chdir(there if place == "." else tmp_path)
+    with new_folder(Path(place)) as part:
+        (part / "file").touch()
+    assert [one.name for one in there.iterdir()] == ["file"]
+    assert (tmp_path / "link").is_symlink()
