@@ -204,3 +204,12 @@ def test_recordings_are_read_as_lerobots_own_loader_reads_them(
         for number, camera in enumerate(found.cameras):
             expected = [letterboxed(picture, 84) for picture in there[camera.key][rows]]
             assert np.abs(shown[:, number].astype(int) - np.array(expected)).max() <= 1
+
+
+@pytest.mark.slow
+@needs("lerobot")
+def test_a_training_of_act_does_not_go_on_with_other_options(tmp_path: Path) -> None:
+    (tmp_path / "training.json").write_text('{"data": "mine", "leave_out": "[3]", "updates": "9"}')
+    words = [python_of("lerobot"), "train_act.py", "--data", "mine", "--out", tmp_path]
+    found = subprocess.run(words, cwd=FOLDER / "lerobot", capture_output=True, text=True)
+    assert found.returncode == 1 and "expected --leave-out [3], with which" in found.stderr

@@ -220,6 +220,15 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["mine.txt"]
 
 
+def test_a_mount_is_refused_before_anything_is_played(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os.path, "ismount", lambda path: path == tmp_path)
+    with pytest.raises(UserError, match="expected a new folder, found a mount; name one in it"):
+        lerobot.check_folder(tmp_path)
+    lerobot.check_folder(tmp_path / "set")
+
+
 def test_depth_says_that_it_is_depth_in_which_unit_and_range(tmp_path: Path) -> None:
     _, rows = recorded(tmp_path / "set", policy="toy-rgbd", seed=3, drop=("third_a=black@5",))
     depth = picture(rows[4], "first.depth")

@@ -13,6 +13,7 @@ from madviz.measure.evidence import find_evidence
 from madviz.policies import checkpoint
 from madviz.report.claims import claims, same, verdict
 from madviz.report.rows import difference, signed
+from madviz.report.tables import row_of
 from madviz.report.threshold import judge
 from tests.evidence import rates, write_policy
 from tests.reports import GOOD, average, every_table, report, table
@@ -315,6 +316,19 @@ def test_nothing_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
     write_policy(tmp_path, GOOD, folder="b")
     found = judge("metaworld/hammer", find_evidence(tmp_path)[0])
     assert found.row is not None and found.row.evidence[0].folder == "b"
+
+
+def test_two_policies_of_one_training_seed_are_not_mixed_into_a_rate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As two runs of a sweep over the learning rate: other scenes, the same label and seed."""
+    write_policy(tmp_path, rates(1, 1, 1, 1), folder="a")
+    write_policy(tmp_path, rates(0, 0, 0, 0), folder="b", first_seed=5100)
+    row = row_of("mad", ("all",), find_evidence(tmp_path)[0])
+    rate = row.rate("all")
+    assert rate is not None and (rate.value, rate.n) == (1.0, 100)
+    assert [one.folder for one in row.evidence] == ["a"]
+    assert f"counts; passed over: {tmp_path / 'b'}" in capsys.readouterr().err
 
 
 def test_a_policy_of_cameras_of_ones_own_does_not_stand_for_the_task(tmp_path: Path) -> None:

@@ -181,23 +181,29 @@ def _shared_seeds(rows: Sequence[tuple[str, Row]]) -> dict[str, set[int]]:
 
 def row_of(label: str, columns: Sequence[str], members: Sequence[Evidence]) -> Row:
     """The row of ``members``, the policies of one task. A policy with one camera has no cell for
-    all cameras where there are columns of single ones."""
+    all cameras where there are columns of single ones. A cell has one policy of each training seed:
+    the first; others are named and passed over, whatever option sets them apart."""
     row = Row(label)
+    first: dict[tuple[str, int], Evidence] = {}
     for policy in members:
         counts = False
         for column in columns:
             # All of one camera is not all cameras, where other rows have several.
             alone = len(policy.config.streams) == 1 and column == "all" and "third_b" in columns
             outcomes = None if alone else policy.of(column)
-            for seed, success in (outcomes or {}).items():
-                cell = row.cells.setdefault(column, {})
-                unit = (policy.config.task, policy.seed, seed)
-                counts |= unit not in cell
-                cell.setdefault(unit, success)
-        # A policy that adds no episode (Single Camera with this camera, of another setting) is not
-        # trained again for this row.
+            if outcomes and first.setdefault((column, policy.seed), policy) is policy:
+                units = {(policy.config.task, policy.seed, s): won for s, won in outcomes.items()}
+                row.cells.setdefault(column, {}).update(units)
+                counts = True
+        # A policy that adds no episode is not trained again for this row.
         if counts:
             row.evidence.append(policy)
+    passed = [str(policy.path) for policy in members if policy not in row.evidence]
+    if passed:
+        say(
+            f"{label} of {members[0].config.task}: one policy of each training seed counts; passed "
+            f"over: {', '.join(sorted(passed))}"
+        )
     return row
 
 
