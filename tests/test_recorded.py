@@ -58,7 +58,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_step_has_its_pictures_and_numbers(
     tmp_path: Path, written: Small, close: int
 ) -> None:
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     assert (found.name, found.fps, found.left_out) == ("mine", 10, ())
     assert [(camera.name, camera.height) for camera in found.cameras] == [
         ("top", 48),
@@ -189,7 +189,7 @@ def test_scalings_are_those_of_the_episodes_for_training(tmp_path: Path) -> None
     written = Small()
     written.states[12:] = 1000  # Of the last episode, which is held out.
     written.rows["observation.state"] = list(written.states)
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     states, actions = found.scalings()
     assert (found.training, found.held_out) == ((0, 1), (2,))
     np.testing.assert_allclose(states.high, written.states[:12].max(0))
@@ -199,7 +199,7 @@ def test_scalings_are_those_of_the_episodes_for_training(tmp_path: Path) -> None
 
 def test_recordings_in_other_units_are_refused_for_a_policy(tmp_path: Path) -> None:
     written = Small()
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     robot_of(found).check_units(found)
     written.states[0] = 1000
     written.rows["observation.state"] = list(written.states)
@@ -234,7 +234,7 @@ def test_names_of_another_count_are_said(tmp_path: Path) -> None:
     written = Small(films=False)
     features = written.info["features"]
     features["action"] = {**features["action"], "names": ["one", "two"]}
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     assert found.action_names == ("action_0", "action_1", "action_2")
     assert found.left_out == ("names of action: expected 3, found 2; they are numbered",)
 
@@ -260,7 +260,7 @@ def test_a_downloads_links_are_followed(tmp_path: Path) -> None:
 def test_depth_is_said_to_be_left_out(tmp_path: Path) -> None:
     written = Small(films=False)
     written.info["features"][TOP]["info"] = {"is_depth_map": True}
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     assert [camera.name for camera in found.cameras] == ["wrist"]
     assert found.left_out == (f"camera {TOP}: depth is not read",)
 
@@ -268,7 +268,7 @@ def test_depth_is_said_to_be_left_out(tmp_path: Path) -> None:
 def test_a_camera_without_three_channels_is_said_to_be_left_out(tmp_path: Path) -> None:
     written = Small(films=False)
     written.info["features"][TOP]["shape"] = [48, 64, 1]
-    found = open_recordings(written.write(tmp_path / "mine"))
+    found = open_recordings(str(written.write(tmp_path / "mine")))
     assert [camera.name for camera in found.cameras] == ["wrist"]
     (line,) = found.left_out
     assert line == f"camera {TOP}: expected 3 channels, found the shape [48, 64, 1]"

@@ -145,6 +145,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "crossed": crossed_table.crossed,
     "rewards": rewards_table.rewards,
     "recorded": recorded_table.recorded,
+    "recorded-films": recorded_table.films,
     "guard-trial": guard_table.guard_trial,
     "guard-ways": guard_table.guard_ways,
     "guard-alarms": guard_table.guard_alarms,

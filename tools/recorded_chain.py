@@ -2,13 +2,14 @@
 
     python tools/recorded_chain.py runs/recorded
     python tools/recorded_chain.py runs/recorded --guard  two more trainings, played with the guard
+    python tools/recorded_chain.py runs/recorded --films  two more, on LeRobot's films of 240 x 320
     python tools/recorded_chain.py runs/recorded --act    LeRobot's ACT on the same recordings
 
 Records the expert as a LeRobot dataset with films, trains on it without the simulator, audits each
 policy on the recordings, serves it, and counts its success in the simulator, by madviz's own
 commands. results/designs.md has the question. Every finished piece is kept in the folder, and
 each condition of each policy becomes a row of results/recorded.csv at once. ACT is trained and
-served by integrations/lerobot, whose setup.sh comes first.
+served, and the larger films are written, by integrations/lerobot, whose setup.sh comes first.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -47,6 +49,8 @@ METHODS = ("mad", "merged-only", "singular-only")
 SEEDS = (1, 2)
 GUARD_SEEDS = (3, 4)
 """The trainings that are played with the guard: the weights of the first two are not kept."""
+FILM_SEEDS = (5, 6)
+"""The trainings on films that LeRobot's own writer made."""
 ACT = "act"
 LEROBOT = ROOT / "integrations" / "lerobot"
 RECORDED = "--episodes 50 --seed 0 --video --format lerobot".split()
@@ -67,6 +71,7 @@ cameras = {{ {", ".join(f'{name} = "{name}"' for name in CAMERAS)} }}
 """
 ASKED = WIRE.replace(TASK, "recording/hammer")
 """How ACT is asked about the recordings."""
+FILM_WIRE = WIRE.replace("size = 84", "size = [240, 320]\nstretch = true")
 
 
 class Condition(NamedTuple):
@@ -101,8 +106,12 @@ PLAIN = (
 GUARDED = tuple(
     Condition(name, "removed", how, guard=True) for how in ("black", "frozen") for name in CAMERAS
 )
-BESIDE = (INTACT, Condition("first", "removed", "frozen"))
+FROZEN = Condition("first", "removed", "frozen")
+BESIDE = (INTACT, FROZEN)
 """What those that are played with the guard are compared with, from the same weights."""
+DROPPED = tuple(one for one in PLAIN if one.how == "dropped")
+ON_FILMS = (INTACT, *DROPPED, FROZEN)
+GUARDED_ON_FILMS = tuple(one for one in GUARDED if one.camera == "first")
 
 
 class Row(NamedTuple):
@@ -137,7 +146,24 @@ class Piece(NamedTuple):
 
     @property
     def recordings(self) -> Path:
-        return self.out / "hammer"
+        return self.out / ("hammer-films" if self.seed in FILM_SEEDS else "hammer")
+
+    @property
+    def wire(self) -> Path:
+        return self.out / ("wire-films.toml" if self.seed in FILM_SEEDS else "wire.toml")
+
+
+def record(piece: Piece) -> None:
+    """Records the expert, unless that was done, and says how the simulator is wired."""
+    films = piece.seed in FILM_SEEDS
+    if films and not piece.recordings.exists():
+        part = piece.recordings.with_suffix(".part")
+        shutil.rmtree(part, ignore_errors=True)
+        subprocess.run([*_lerobot("write_recordings.py"), TASK, str(part)], check=True)
+        part.rename(piece.recordings)
+    if not piece.recordings.exists():
+        _madviz("record", "--expert", TASK, *RECORDED, "--out", str(piece.recordings))
+    piece.wire.write_text(FILM_WIRE if films else WIRE)
 
 
 def train(piece: Piece) -> None:
@@ -189,7 +215,7 @@ def evaluate(piece: Piece, conditions: Sequence[Condition]) -> None:
     with _served(piece, left[0].guard) as address:
         for one in left:
             file = piece.policy / f"rates-{one.camera}-{one.what}-{one.how}.json"
-            words = ["--policy", address, "--wire", str(piece.out / "wire.toml"), *one.words]
+            words = ["--policy", address, "--wire", str(piece.wire), *one.words]
             words += ["--workers", "1", "--json", str(file)]
             words += ["--episodes", str(COUNT), "--seed", str(FIRST_SEED)]
             _madviz("eval", *words)
@@ -316,18 +342,21 @@ def main(words: Sequence[str]) -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--guard", action="store_true", help="two more trainings, with the guard")
+    parser.add_argument("--films", action="store_true", help="two more, on larger films")
     parser.add_argument("--act", action="store_true", help="LeRobot's ACT, one training")
     asked = parser.parse_args(words)
     out = asked.out
     out.mkdir(parents=True, exist_ok=True)
-    if not (out / "hammer").exists():
-        _madviz("record", "--expert", TASK, *RECORDED, "--out", str(out / "hammer"))
-    (out / "wire.toml").write_text(WIRE)
+    if asked.films:
+        seeds, played = FILM_SEEDS, (ON_FILMS, GUARDED_ON_FILMS)
+    elif asked.guard:
+        seeds, played = GUARD_SEEDS, (BESIDE, GUARDED[:3], GUARDED[3:])
+    else:
+        seeds, played = SEEDS, (PLAIN[:7], PLAIN[7:])
+    record(Piece(METHODS[0], seeds[0], out))
     if asked.act:
         _with_act(Piece(ACT, 1, out))
         return
-    seeds = GUARD_SEEDS if asked.guard else SEEDS
-    played = (BESIDE, GUARDED[:3], GUARDED[3:]) if asked.guard else (PLAIN[:7], PLAIN[7:])
     pieces = [Piece(method, seed, out) for seed in seeds for method in METHODS]
     with ThreadPoolExecutor(TRAIN_AT_ONCE) as pool:
         list(pool.map(train, pieces))

@@ -1,11 +1,11 @@
-"""The block of docs/own-robot.md: success of policies that learned from recordings, and whether an
+"""The blocks of docs/own-robot.md: success of policies that learned from recordings, and whether an
 audit on recordings predicts it, from results/recorded.csv (``python tools/recorded_chain.py``)."""
 
 from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from math import nan
 from typing import NamedTuple
 
@@ -16,9 +16,12 @@ from recorded_chain import (
     ACT,
     BESIDE,
     COUNT,
+    FILM_SEEDS,
     GUARD_SEEDS,
     GUARDED,
+    GUARDED_ON_FILMS,
     METHODS,
+    ON_FILMS,
     PLAIN,
     SEEDS,
     TABLE,
@@ -63,18 +66,34 @@ def recorded() -> str:
         ours = [row for row in measured if _group(row) == key]
         rates = [_rate(row for row in ours if row["method"] == method) for method in NAMES]
         lines.append([_words(*key), *rates])
-    every = points(measured)
+    every = points(measured, SEEDS)
     act = [one for one in every if one.policy[0] == ACT]
     designed = [one for one in every if one not in act]
     said = [*_sentences(designed), *([_of_act(act)] if act else [])]
     return f"{table(['cameras', *NAMES.values()], lines)}\n" + "".join(f"- {s}\n" for s in said)
 
 
+def films() -> str:
+    """As ``recorded``, of the trainings on films that LeRobot's own writer made."""
+    with TABLE.open(newline="") as file:
+        measured = [row for row in csv.DictReader(file) if int(row["seed"]) in FILM_SEEDS]
+    lines = []
+    for one in (*ON_FILMS, *GUARDED_ON_FILMS):
+        ours = [row for row in measured if condition_of(row) == one]
+        if len(ours) < len(METHODS) * len(FILM_SEEDS):
+            return "Not every policy was evaluated yet; nothing is said before all are.\n"
+        rates = [_rate(row for row in ours if row["method"] == method) for method in METHODS]
+        lines.append([_words(one, guarded=False), *rates])
+    dropped = [one for one in points(measured, FILM_SEEDS) if one.how == "dropped"]
+    said = _sentence("A dropped camera", dropped)
+    return f"{table(['cameras', *(NAMES[one] for one in METHODS)], lines)}\n- {said}\n"
+
+
 def complete() -> list[dict[str, str]]:
     """The rows of those conditions that both trainings of every method have, in the design's
-    order, and ACT's."""
+    order, and ACT's. Those on larger films are apart (``films``)."""
     with TABLE.open(newline="") as file:
-        measured = list(csv.DictReader(file))
+        measured = [row for row in csv.DictReader(file) if int(row["seed"]) not in FILM_SEEDS]
     count = Counter(_group(row) for row in measured if row["method"] != ACT)
     kept = [
         row
@@ -92,9 +111,9 @@ def _group(row: dict[str, str]) -> tuple[Condition, bool]:
     return condition, condition.guard or int(row["seed"]) in GUARD_SEEDS
 
 
-def points(measured: Iterable[dict[str, str]]) -> list[Point]:
-    """Every camera of the policies that lost each one in each way, without the guard."""
-    kept = [row for row in measured if int(row["seed"]) in SEEDS]
+def points(measured: Iterable[dict[str, str]], seeds: Collection[int]) -> list[Point]:
+    """Every camera that was lost without the guard, of the policies of these training ``seeds``."""
+    kept = [row for row in measured if int(row["seed"]) in seeds]
     intact = {_policy(row): _successes(row) for row in kept if not row["camera"]}
     return [
         Point(
@@ -137,18 +156,19 @@ def worst_found(some: list[Point]) -> tuple[int, int]:
 def _sentences(every: list[Point]) -> list[str]:
     groups = {f"A {how} camera": [one for one in every if one.how == how] for how in WAYS}
     groups = {name: some for name, some in groups.items() if some} | {"All ways": every}
-    lines = []
-    for name, some in groups.items():
-        value, low, high = correlation(some)
-        right, tried = worst_found(some)
-        cases = len({(one.policy, one.how) for one in some})
-        lines.append(
-            f"{name}: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
-            f"{len(some)} losses). Some camera costs more than 10 points in {tried} of {cases} "
-            f"cases; in {right} of them, the camera with the largest change costs most (by chance, "
-            "about a third)."
-        )
-    return [*lines, _by_limit(every)]
+    return [*(_sentence(name, some) for name, some in groups.items()), _by_limit(every)]
+
+
+def _sentence(name: str, some: list[Point]) -> str:
+    value, low, high = correlation(some)
+    right, tried = worst_found(some)
+    cases = len({(one.policy, one.how) for one in some})
+    return (
+        f"{name}: {_verdict(low, high)} (rank correlation {value:.2f} [{low:.2f}, {high:.2f}], "
+        f"{len(some)} losses). Some camera costs more than 10 points in {tried} of {cases} "
+        f"cases; in {right} of them, the camera with the largest change costs most (by chance, "
+        "about a third)."
+    )
 
 
 def _of_act(points_of_act: list[Point]) -> str:

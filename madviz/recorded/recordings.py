@@ -144,9 +144,10 @@ def _digest(recordings: Recordings, episode: int) -> str:
     return hashlib.sha256(states.tobytes() + actions.tobytes()).hexdigest()[:16]
 
 
-def open_recordings(path: Path) -> Recordings:
+def open_recordings(path: Path | str) -> Recordings:
     """Raises UserError, one line, for a folder that is no LeRobotDataset of version 3 or of which
     no episode is whole."""
+    path = Path(path)
     description = read_description(path)
     episodes, locations, broken = find_episodes(description)
     if not episodes:
