@@ -177,6 +177,26 @@ def test_policies_of_other_cameras_or_merges_are_no_trainings_of_one_method(
     ]
 
 
+def test_trainings_with_other_options_are_not_drawn_as_one_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: dict[str, list[figures.Bar]] = {}
+    monkeypatch.setattr(figures, "bars", lambda title, groups, series: drawn.update(series) or "")
+    said = ("", "--light.workers 2", "--light.rounds 20 --light.alpha 0.25", "--light.rounds 20")
+    for number, words in enumerate(said):
+        folder = write_policy(tmp_path, {"all": 0.5}, folder=f"run{number}")
+        config = json.loads((folder / "config.json").read_text())
+        config["training"] |= {"alpha": 0.25, "command": f"madviz train {words} --seed {number}"}
+        (folder / "config.json").write_text(json.dumps(config))
+    folders = tuple(str(tmp_path / f"run{number}") for number in range(4))
+    compare_policies(CompareConfig(folders, figure=tmp_path / "figure.svg"))
+    label = "mad (three, light, alpha 0.25)"
+    assert {name: len(bars[0].dots) for name, bars in drawn.items()} == {
+        f"{label}: the usual options": 2,
+        f"{label}: rounds 20": 2,
+    }
+
+
 def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> None:
     figure = tmp_path / "curves.svg"
     (Path(two[0]) / "curve.csv").write_text("round,student_success\n1,0.5\n")
@@ -190,6 +210,20 @@ def test_curves_need_success_by_subset(two: tuple[str, str], tmp_path: Path) -> 
     drawn = figure.read_text()
     assert drawn.count('class="line"') == 6  # Two methods; all, first and their average.
     assert ">average<" in drawn and ">100<" in drawn
+
+
+def test_curves_have_what_all_trainings_measured(tmp_path: Path) -> None:
+    runs = [write_policy(tmp_path, {"all": 0.5}, folder=f"run{n}") for n in range(2)]
+    (runs[0] / "curve.csv").write_text("env_steps,success_all,success_first\n100,0.5,0.5\n")
+    (runs[1] / "curve.csv").write_text("env_steps,success_all\n100,0.5\n")
+    figure = tmp_path / "curves.svg"
+    asked = CompareConfig(tuple(map(str, runs)), curves=figure)
+    compare_policies(asked)
+    drawn = figure.read_text()
+    assert ">all<" in drawn and ">first<" not in drawn and ">average<" not in drawn
+    (runs[1] / "curve.csv").write_text("env_steps,success_all\n200,0.5\n")
+    with pytest.raises(UserError, match="measured at the same steps, found none"):
+        compare_policies(asked)
 
 
 def test_the_command(two: tuple[str, str], capsys: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from madviz.errors import UserError
@@ -33,21 +34,34 @@ def bars(found: Sequence[Evidence], table: dict[str, list[Outcomes]]) -> str:
 def curves(found: Sequence[Evidence]) -> str:
     """The paper's figure as SVG: all, each single and their average against environment steps.
 
-    Raises UserError for a policy whose curve.csv has no success by subset.
+    Steps that one of a method's trainings did not measure are left out. Raises UserError for a
+    policy whose curve.csv has no success by subset, and for trainings that share no step.
     """
     panels: dict[str, dict[str, figures.Line]] = {}
     for label, places in _grouped(found).items():
         tables = [_curve(found[index]) for index in places]
         common = sorted(set.intersection(*(set(table) for table in tables)))
-        names = list(tables[0][common[0]]) if common else []
-        for name in names:
-            line = [[table[step].get(name, 0.0) for table in tables] for step in common]
+        for name in _shared(label, tables, common):
+            line = [[table[step][name] for table in tables] for step in common]
             means = [sum(rates) / len(rates) for rates in line]
             ends = [student([[[rate] for rate in rates]]) for rates in line]
             lows = [low for low, _ in ends]
             highs = [high for _, high in ends]
             panels.setdefault(name, {})[label] = figures.Line(common, means, lows, highs)
     return figures.lines(f"{found[0].config.task}: success while training", "steps", panels)
+
+
+def _shared(label: str, tables: Sequence[dict], steps: Sequence[float]) -> list[str]:
+    """The subsets that every training measured at each of the shared ``steps``, and their average
+    where no training has others."""
+    if not steps:
+        raise UserError(
+            f"expected trainings of {label} that were measured at the same steps, found none that "
+            "they share; compare fewer of them, or leave --curves out"
+        )
+    rows = [table[step] for table in tables for step in steps]
+    shared = [name for name in rows[0] if all(name in row for row in rows)]
+    return [one for one in shared if one != "average" or all(len(shared) == len(r) for r in rows)]
 
 
 def _label(evidence: Evidence) -> str:
@@ -58,11 +72,23 @@ def _label(evidence: Evidence) -> str:
 
 
 def _grouped(found: Sequence[Evidence]) -> dict[str, list[int]]:
-    """Places in ``found`` of every method's trainings."""
+    """Places in ``found`` of every method's trainings. Those with other options of the recipe are
+    no trainings of one method: where two would have one label, it says the options."""
+    labels = [_label(evidence) for evidence in found]
+    options = [_options(evidence) for evidence in found]
     groups: dict[str, list[int]] = {}
-    for index, evidence in enumerate(found):
-        groups.setdefault(_label(evidence), []).append(index)
+    for index, label in enumerate(labels):
+        alike = {options[i] for i, other in enumerate(labels) if other == label}
+        said = f": {options[index] or 'the usual options'}" if len(alike) > 1 else ""
+        groups.setdefault(label + said, []).append(index)
     return groups
+
+
+def _options(evidence: Evidence) -> str:
+    """The options of the recipe in its command, but alpha, which the label has, and the number of
+    processes, as in ``rounds 20, noise-decay 0.9``."""
+    found = re.findall(r"--[\w-]+\.([\w.-]+)((?: (?!--)\S+)*)", evidence.command)
+    return ", ".join(name + value for name, value in found if name not in ("alpha", "workers"))
 
 
 def _curve(evidence: Evidence) -> dict[float, dict[str, float]]:
