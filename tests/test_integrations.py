@@ -13,6 +13,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from madviz.envs.registry import make_env
 from madviz.examples import own_policy
 from madviz.recorded.films import letterboxed
 from madviz.recorded.recordings import open_recordings
+from madviz.recording.lerobot import expert_decisions
 from madviz.serving.serve import PolicyServer
 from madviz.wire.wiring import env_of, read_wiring
 
@@ -204,6 +206,29 @@ def test_recordings_are_read_as_lerobots_own_loader_reads_them(
         for number, camera in enumerate(found.cameras):
             expected = [letterboxed(picture, 84) for picture in there[camera.key][rows]]
             assert np.abs(shown[:, number].astype(int) - np.array(expected)).max() <= 1
+
+
+@pytest.mark.slow
+@needs("lerobot")
+def test_lerobots_writer_keeps_what_the_script_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    words = ["write_recordings.py", "toy/reach", tmp_path / "set", "--episodes", "2", "--seed", "3"]
+    ran([python_of("lerobot"), *words], FOLDER / "lerobot")
+    found = open_recordings(tmp_path / "set")
+    assert [(one.height, one.width) for one in found.cameras] == [(240, 320)] * 3
+    for number, one in enumerate(found.episodes):
+        env = make_env("toy/reach")
+        steps = list(expert_decisions(env, ("first", "third_a", "third_b"), 0.0, 3 + number))
+        states, actions = found.numbers(one.index)
+        np.testing.assert_array_equal(states, [step.state for step in steps])
+        np.testing.assert_array_equal(actions, [step.action for step in steps])
+        drawn = steps[-1].pictures["third_a"]  # (84, 84, 3), where the film has black bars.
+        shown = found.frames(one.index, 84)[-1, 1]
+        squeezed = cv2.resize(drawn, (84, 63), interpolation=cv2.INTER_AREA)
+        assert np.abs(shown[10:73].astype(int) - squeezed).mean() < 12
+    assert len(found.episodes) == 2
 
 
 @pytest.mark.slow
