@@ -109,9 +109,8 @@ GUARDED = tuple(
 FROZEN = Condition("first", "removed", "frozen")
 BESIDE = (INTACT, FROZEN)
 """What those that are played with the guard are compared with, from the same weights."""
-DROPPED = tuple(one for one in PLAIN if one.how == "dropped")
-ON_FILMS = (INTACT, *DROPPED, FROZEN)
-GUARDED_ON_FILMS = tuple(one for one in GUARDED if one.camera == "first")
+ON_FILMS = (*PLAIN[:4], FROZEN)
+GUARDED_ON_FILMS = tuple(one for one in GUARDED if one[:3] == FROZEN[:3])
 
 
 class Row(NamedTuple):
