@@ -20,6 +20,7 @@ from madviz.errors import UserError
 from madviz.policies.checkpoint import describe
 from madviz.site import runtime, site
 from madviz.site.drawn_scene import drawn_scene, scene_file
+from madviz.site.exports import labels_of
 from madviz.site.files import write_packed, write_shared, write_zip
 from madviz.site.mjcf import model_text
 from madviz.site.starts import start_states
@@ -165,8 +166,31 @@ def test_seeds_that_are_no_range_are_refused(text: str) -> None:
         site.seed_range(text)
 
 
+@pytest.mark.parametrize("digits", [20, 5000])
+def test_seeds_beyond_all_sizes_are_refused(digits: int) -> None:
+    with pytest.raises(UserError, match="expected a range such as 5000:5050"):
+        site.seed_range(f"0:{'9' * digits}")
+
+
 def test_seeds_are_a_range() -> None:
     assert list(site.seed_range("5000:5003")) == [5000, 5001, 5002]
+
+
+def test_policies_of_one_label_and_task_say_their_recipes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["push-cube-mad-light", "push-cube-mad-paper-vectorised", "pick-cube-mad-light"]
+    folders = [describe(f"maniskill-{name}") for name in names]
+    assert list(labels_of(folders).values()) == ["MAD, light", "MAD, paper-vectorised", "MAD"]
+    assert list(labels_of(folders[:1] * 2).values()) == ["MAD"]
+    for name in ("find_packages", "write_runtime", "write_licences"):
+        monkeypatch.setattr(site, name, lambda *_: {})
+    monkeypatch.setattr(site, "chosen", lambda names: folders)
+    monkeypatch.setattr(
+        site, "record_policy", lambda out, kept, folder, described, seeds: described
+    )
+    found = site.run_site(site.SiteConfig(str(tmp_path / "site")))
+    assert [one["label"] for one in found["recordings"]] == list(labels_of(folders).values())
 
 
 def test_the_opening_s_policies_come_first() -> None:
@@ -226,6 +250,9 @@ def test_a_site_is_replaced_when_the_new_one_is_whole(
     for again in (out, tmp_path / "new" / "site"):
         site.run_site(site.SiteConfig(str(again)))
         assert (again / "worker.js").is_file()
+    monkeypatch.chdir(out)
+    assert site.run_site(site.SiteConfig(".", zip=True))["zip"] == f"{out}.zip"
+    assert (out / "worker.js").is_file() and Path(f"{out}.zip").is_file()
 
 
 def test_missing_packages_are_named_with_the_line_that_installs_them(tmp_path: Path) -> None:

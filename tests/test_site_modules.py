@@ -27,6 +27,8 @@ MODULES = (
     "simulation",
     "stage",
     "statistics",
+    "success",
+    "switches",
     "words",
 )
 

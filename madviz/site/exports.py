@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -54,12 +55,12 @@ def export_task(out: Path, task: str, seeds: Sequence[int]) -> dict[str, Any]:
         env.close()
 
 
-def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
+def export_policy(out: Path, folder: PolicyFolder, label: str) -> dict[str, Any]:
     """The graph of a policy, and the values of its guard; its line of the manifest."""
     policy = load_policy(folder.path)
     spec = folder.spec
     line = {
-        **description_of(folder),
+        **description_of(folder, label),
         "state_dim": spec.state_dim,
         "graph": write_packed(out, f"policies/{spec.name}.gz", policy_graph(policy)),
     }
@@ -71,13 +72,24 @@ def export_policy(out: Path, folder: PolicyFolder) -> dict[str, Any]:
     return line
 
 
-def description_of(folder: PolicyFolder) -> dict[str, Any]:
-    """Name, streams, cameras and measured success of a policy."""
+def labels_of(folders: Sequence[PolicyFolder]) -> dict[str, str]:
+    """By name, the label of each policy; with its recipe where another of its task has that
+    label."""
+    specs = {folder.spec.name: folder.spec for folder in folders}
+    often = Counter((spec.task, label_of(spec)) for spec in specs.values())
+    return {
+        name: label_of(spec) + (f", {spec.recipe}" if often[spec.task, label_of(spec)] > 1 else "")
+        for name, spec in specs.items()
+    }
+
+
+def description_of(folder: PolicyFolder, label: str) -> dict[str, Any]:
+    """Name, label, streams, cameras and measured success of a policy."""
     spec = folder.spec
     evaluation = shipped_evaluation(folder.path)
     return {
         "name": spec.name,
-        "label": label_of(spec),
+        "label": label,
         "task": spec.task,
         "method": spec.method,
         "setting": spec.setting,

@@ -14,6 +14,7 @@ folder needs no server of its own, no special headers, and no place at the root 
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ from typing import Any
 from madviz.errors import UserError
 from madviz.policies.checkpoint import PolicyFolder, describe, policy_folders
 from madviz.session.session_file import versions_here
-from madviz.site.exports import description_of, export_policy, export_task
+from madviz.site.exports import description_of, export_policy, export_task, labels_of
 from madviz.site.files import write_zip
 from madviz.site.recordings import record_policy
 from madviz.site.runtime import LICENCES, find_packages, versions, write_licences, write_runtime
@@ -83,6 +84,7 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
     packages = find_packages(Path(config.packages).resolve())
     folders = chosen(config.policies)
     out = Path(config.out)
+    named = Path(os.path.abspath(out))  # ``.`` has no name, and is another folder afterwards.
     place = out.resolve()  # A link stays one.
     check_place(place)
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -91,7 +93,7 @@ def run_site(config: SiteConfig) -> dict[str, Any]:
         size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
         if place.exists():
             shutil.rmtree(place)  # Last: what fails before leaves the old site.
-    archive = write_zip(out) if config.zip else None
+    archive = write_zip(named) if config.zip else None
     return {"out": str(out), "bytes": size, "zip": str(archive or ""), **manifest}
 
 
@@ -111,11 +113,13 @@ def _written(
         "runtime": write_runtime(out, packages),
         "meanings": shown_meanings(),
     }
+    labels = labels_of(folders)
     live = [folder for folder in folders if folder.spec.task.startswith(LIVE)]
     tasks = list(dict.fromkeys(folder.spec.task for folder in live))
     manifest["tasks"] = [announced(task, export_task, out, task, seeds) for task in tasks]
     manifest["policies"] = [
-        announced(folder.spec.name, export_policy, out, folder) for folder in live
+        announced(folder.spec.name, export_policy, out, folder, labels[folder.spec.name])
+        for folder in live
     ]
     manifest["recordings"] = [
         announced(
@@ -124,7 +128,7 @@ def _written(
             out,
             Path(config.recordings),
             folder,
-            description_of(folder),
+            description_of(folder, labels[folder.spec.name]),
             list(seeds)[: config.recorded],
         )
         for folder in folders
@@ -153,9 +157,9 @@ def site_words(result: dict[str, Any]) -> str:
 def seed_range(text: str) -> range:
     """``5000:5050`` as a range. Raises UserError for anything else."""
     first, colon, last = text.partition(":")
-    if colon and first.isdecimal() and last.isdecimal():
+    if colon and first.isdecimal() and last.isdecimal() and len(text) <= 60:
         seeds = range(int(first), int(last))
-        if 1 <= len(seeds) <= 1000 and seeds[-1] < 2**31:
+        if seeds.start < seeds.stop <= min(seeds.start + 1000, 2**31):
             return seeds
     raise UserError(
         f"--seeds: expected a range such as 5000:5050, at most 1000, found {text!r:.60}"

@@ -118,7 +118,7 @@ def test_one_switch_is_the_guard(visit, fitted, address):
     page = visit(fitted + LINK.replace("third_a=off@4", "third_a=black@2"))
     page.get_by_label("Guard").click()
     until(page, "Guard: Third A sends black since step 2", "#line")
-    until(page, "all cameras, with failures, with guard", "#inside")
+    until(page, "with guard · all cameras · third_a:black", "#inside")
     page.wait_for_function("() => location.hash.includes('guard=on')")
     link = page.evaluate("location.hash")
     again = visit(fitted + link)

@@ -55,6 +55,18 @@ test('an episode ends in words where something was done, with what is known of i
   assert.equal(endingOf([{...world, ended: false}], [entry], new Tally()), null);
 });
 
+test('a recording says that its cameras were so from the start', () => {
+  const world = {policy: 'one', ended: true, success: false, horizon: 100,
+    events: [{step: 99, camera: 'first', state: OFF}], condition: {subset: 'third_a', occlusions: ''}};
+  const entry = {label: 'MAD', done: ['do it', 'did it'], cameras: CAMERAS, measured: {}, recorded: true};
+  const result = (step, recorded) => endingOf([{...world, events: [{...world.events[0], step}]}],
+    [{...entry, recorded}], new Tally()).result;
+  assert.equal(result(99, true),
+    'MAD did not do it. (This was recorded with the cameras as at the end, from the start.)');
+  assert.equal(result(0, true), 'MAD did not do it.');
+  assert.equal(result(99, false), 'MAD did not do it.');
+});
+
 test('how far two paths are apart, and from which step on', () => {
   const straight = new Float32Array(15), bent = straight.slice();
   bent.set([0.004, 0, 0, 0.03, 0, 0, 0.02, 0, 0], 6);

@@ -4,6 +4,7 @@ import assert from 'node:assert/strict';
 import {readFileSync} from 'node:fs';
 import test from 'node:test';
 
+import {intact} from '../../madviz/site/web/camera_state.js';
 import {Simulation} from '../../madviz/site/web/simulation.js';
 
 const VALUES = JSON.parse(readFileSync(new URL('../guard_cases.json', import.meta.url))).values;
@@ -42,6 +43,17 @@ test('the journal has the guard where it changes, and a schedule switches it aga
   await one.set(on);
   assert.notEqual(one.guard, null);
   assert.deepEqual(one.events, [on]);
+});
+
+test('a camera that is put back is not said to be moved', async () => {
+  const one = made(null);
+  await one.begin(1, []);
+  const homes = [];
+  for (const event of [{move: {zoom: 2}}, {move: null}, {state: intact()}]) {
+    await one.set({camera: 'camera', ...event});
+    homes.push([one.change.moved, one.change.home]);
+  }
+  assert.deepEqual(homes, [[true, false], [true, true], [false, false]]);
 });
 
 test('a policy without a guard has none, whatever is asked', async () => {

@@ -8,8 +8,8 @@ import {intact, noOcclusion} from '../../madviz/site/web/camera_state.js';
 import {frustum, lineOnCanvas, rotate, viewpoint} from '../../madviz/site/web/geometry.js';
 import {parseLink} from '../../madviz/site/web/link.js';
 import {acts, openingEvents} from '../../madviz/site/web/opening.js';
-import {nameOf} from '../../madviz/site/web/subsets.js';
-import {badgeWords, changeWords, conditionWords, guardWords, moveWords, outcomeWords, stateWords, subsetWords}
+import {conditionOf, nameOf} from '../../madviz/site/web/subsets.js';
+import {badgeWords, changeWords, conditionWords, eventWords, guardWords, moveWords, outcomeWords, stateWords, subsetWords}
   from '../../madviz/site/web/words.js';
 
 const CAMERAS = [['first', 'First person'], ['third_a', 'Third A']].map(([name, label]) =>
@@ -42,6 +42,17 @@ test('a change says what was done and what came of it', () => {
   assert.match(changeWords(mute, CAMERAS), /cannot act on that$/);
   assert.match(changeWords({...mute, q_after: 9, before: off, after: intact()}, CAMERAS),
     /^Third A is back: this policy can act again$/);
+  const moved = {...change, after: intact(), moved: true};
+  assert.match(changeWords({...moved, home: false}, CAMERAS), /^Third A has another place:/);
+  assert.match(changeWords({...moved, home: true}, CAMERAS), /^Third A is back in its place:/);
+});
+
+test('a mark on the curve says what was done', () => {
+  const event = {step: 3, camera: 'third_a'};
+  assert.equal(eventWords({...event, state: {...intact(), input: 'off'}}, CAMERAS), 'Third A is off');
+  assert.equal(eventWords({...event, move: {zoom: 2}}, CAMERAS), 'Third A moved');
+  assert.equal(eventWords({...event, move: null}, CAMERAS), 'Third A is back in its place');
+  assert.equal(eventWords({step: 3, camera: '', guard: true}, CAMERAS), 'guard on');
 });
 
 test('failures and moves in words', () => {
@@ -75,6 +86,14 @@ test('a link is played as far as the site can, with a sentence for the rest', ()
   const blind = check('#policy=one&first=depth&first=off@9');
   assert.match(blind.problems[0], /gets no depth of “first”/);
   assert.deepEqual(blind.scene.events.map(({step, state}) => [step, state.input]), [[9, 'off']]);
+  const late = check('#policy=one&first=off@99&third_a=black@100&guard=on@200');
+  assert.equal(late.problems.length, 2);
+  assert.match(late.problems[0], /“third_a” at step 100 comes after the last decision/);
+  assert.deepEqual(late.scene.events.map(one => one.step), [99]);
+  const alone = check('#policy=one&b.first=off@4&a.first=off@5');
+  assert.match(alone.problems.join(), /^“first” at step 4 is for side B, which is not here/);
+  assert.deepEqual(alone.scene.events.map(one => one.step), [5]);
+  assert.equal(check('#policy=one&vs=two&b.first=off@4').scene.events.length, 1);
 });
 
 test('without a simulation there are recordings alone', () => {
@@ -112,7 +131,20 @@ test('what a guard has noticed is said, and stands on the picture', () => {
   assert.match(guardWords({guard: [noticed], mask: [false, false]}, CAMERAS), /No camera is left/);
   assert.equal(guardWords({guard: [], mask: [true, true]}, CAMERAS), '');
   assert.equal(conditionWords({subset: 'all', occlusions: 'first:black', guarded: true}, CAMERAS),
-    'all cameras, with failures, with guard');
+    'with guard · all cameras · first:black');
+});
+
+test('each failure has a row name of its own', () => {
+  const state = occlusion => ({input: 'both', occlusion: {...noOcclusion(), ...occlusion}});
+  const row = (occlusion, moves = {}) => conditionWords(
+    conditionOf(['first', 'third_a'], {first: state(occlusion), third_a: intact()}, moves), CAMERAS);
+  assert.equal(row({}), 'all cameras');
+  assert.equal(row({kind: 'black'}), 'all cameras · first:black');
+  assert.equal(row({kind: 'noise', strength: 0.1}), 'all cameras · first:noise strength=0.1');
+  assert.equal(row({kind: 'noise', strength: 0.5}), 'all cameras · first:noise strength=0.5');
+  const move = {forward: 0, right: -0.1, up: 0, pan: 5, tilt: 0, zoom: 1};
+  assert.equal(row({kind: 'patch', height: 0.2}, {third_a: move}),
+    'all cameras · first:patch width=0.4 height=0.2, third_a:moved right=-0.1 pan=5');
 });
 
 test('the opening has three acts where a guard is fitted, else the one that drops a camera', () => {

@@ -143,7 +143,17 @@ export class Catalogue {
       problems.push(`A policy here gets no ${state?.input === 'depth' ? 'depth' : 'colour'} of `
         + `“${camera}”, so that switch is left out.`);
     }
-    let events = ours.filter(one => !blind.includes(one));
+    const late = ours.filter(one => one.step >= entry.horizon);
+    for (const {camera, step} of late) {
+      problems.push(`“${camera || 'guard'}” at step ${step} comes after the last decision, so that `
+        + 'switch is left out.');
+    }
+    const alone = ours.filter(one => one.side === 'second' && !vs && !late.includes(one));
+    for (const {camera, step} of alone) {
+      problems.push(`“${camera || 'guard'}” at step ${step} is for side B, which is not here, so that `
+        + 'switch is left out.');
+    }
+    let events = ours.filter(one => ![...blind, ...late, ...alone].includes(one));
     if (entry.recorded) {
       const kept = events.filter(({state}) => state && state.occlusion.kind === 'none');
       if (kept.length < events.length) {

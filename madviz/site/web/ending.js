@@ -90,7 +90,11 @@ export function endingOf(worlds, entries, tally) {
     success: world.success, rate: rateOf(world, entries[i], tally),
     deeds: deedsOf(world, entries[i].cameras), departure: departureOf(world.paths)}));
   if (sides.length === 1 && !sides[0].deeds.length) return null;
-  return endingParts(sides, entries[0].done);
+  const parts = endingParts(sides, entries[0].done);
+  if (entries[0].recorded && sides.some(side => side.deeds.some(([, , step]) => step !== 0))) {
+    parts.result += ' (This was recorded with the cameras as at the end, from the start.)';
+  }
+  return parts;
 }
 
 /**

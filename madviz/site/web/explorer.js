@@ -15,12 +15,14 @@ import {Features, Subsets} from './readout.js';
 import {SceneView} from './scene_view.js';
 import {Side} from './side.js';
 import {Tally} from './statistics.js';
+import {gives} from './subsets.js';
 import {RunMany, Success} from './success.js';
 import {SwitchBoard} from './switches.js';
 import {Timeline} from './timeline.js';
 import {Transport, rateNow} from './transport.js';
 import {changeWords, guardWords} from './words.js';
 
+/** @typedef {import('./messages.js').CameraState} CameraState */
 /** @typedef {import('./messages.js').Command} Command */
 /** @typedef {import('./messages.js').Frame} Frame */
 /** @typedef {import('./messages.js').World} World */
@@ -211,14 +213,23 @@ export class Explorer {
     this.setLinked(linked);
     const {first, second} = this.frame ?? {};
     if (!linked || !first || !second) return;
+    /** Whether both get it. @param {string} camera @param {CameraState} [state] */
+    const given = (camera, state) => !state
+      || this.entries.every(one => gives(one.streams, camera, state.input));
     if (this.planned.some(one => one.side !== 'both')) {
-      this.planned = this.planned.filter(one => one.side !== 'second')
+      this.planned = this.planned
+        .filter(one => one.side !== 'second' && given(one.camera, one.state))
         .map(one => ({...one, side: /** @type {const} */ ('both')}));
       this.send({kind: 'SetSchedule', events: this.planned});
     }
     const side = /** @type {const} */ ('second');
     for (const {name: camera} of this.entries[0].cameras) {
-      const state = first.cameras[camera], move = first.moves[camera] ?? null;
+      let state = first.cameras[camera];
+      const move = first.moves[camera] ?? null;
+      if (!given(camera, state)) {
+        state = {...state, input: 'both'};
+        this.send({kind: 'SetCamera', side: 'first', camera, state});
+      }
       if (differ(state, second.cameras[camera])) this.send({kind: 'SetCamera', side, camera, state});
       if (differ(move, second.moves[camera] ?? null)) {
         this.send({kind: 'MoveCamera', side, camera, move});
@@ -238,9 +249,9 @@ export class Explorer {
     });
     byId('stage').replaceChildren(...this.sides.map(side => side.element));
     const linked = two && this.linked;
-    this.boards = linked || !two ? [new SwitchBoard(entry, 'both', this.send)]
+    this.boards = linked || !two ? [new SwitchBoard(this.entries, 'both', this.send)]
       : this.entries.map((one, index) =>
-        new SwitchBoard(one, index === 0 ? 'first' : 'second', this.send));
+        new SwitchBoard([one], index === 0 ? 'first' : 'second', this.send));
     this.linkButtons.forEach((button, i) => button.setAttribute('aria-pressed', String(linked === !i)));
     const titles = this.boards.map((board, index) => linked || !two ? [board.element]
       : [make('h3', {}, `Side ${'AB'[index]}: ${this.entries[index].label}`), board.element]);
@@ -362,7 +373,8 @@ export class Explorer {
     const {first, second} = this.frame;
     return {policy: first.policy, vs: second?.policy ?? null, seed: first.seed,
       events: [...mergedEvents(first.events, second?.events ?? null),
-        ...this.planned.filter(event => event.step > first.step)]};
+        ...this.planned.filter(event => event.step > first.step)]
+        .filter(event => event.step < first.horizon)}; // A later one changes no decision.
   }
 }
 

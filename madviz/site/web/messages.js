@@ -200,6 +200,7 @@
  * @property {CameraState} before
  * @property {CameraState} after
  * @property {boolean} moved
+ * @property {boolean} [home] It was put back in its place.
  * @property {number} step
  * @property {number} action_change Euclidean distance between the two actions.
  * @property {number} q_before

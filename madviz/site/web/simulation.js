@@ -252,6 +252,7 @@ export class Simulation {
       before,
       after: this.cameras[camera],
       moved: !event.state,
+      home: !event.state && !event.move,
       step: this.step,
       action_change: Math.hypot(...this.action.map((value, i) => value - old.action[i])),
       q_before: old.q[0],

@@ -106,7 +106,7 @@ export function conditionOf(streams, cameras, moves) {
 }
 
 /** @param {import('./messages.js').Occlusion} occlusion */
-function failureKey({kind, strength, x, y, width, height}) {
+export function failureKey({kind, strength, x, y, width, height}) {
   const sides = width === height ? {size: width} : {width, height};
   const numbers = Object.entries({strength, x, y, ...sides});
   return kind + numbers.map(([name, value]) => `,${name}=${value}`).join('');

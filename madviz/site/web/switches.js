@@ -10,6 +10,8 @@ import {intact} from './camera_state.js';
 import {cameraColour} from './colours.js';
 import {make, say} from './dom.js';
 import {moveBox} from './moves.js';
+import {cameraOf} from './streams.js';
+import {gives} from './subsets.js';
 import {moveWords, stateWords} from './words.js';
 
 /** @typedef {import('./messages.js').CameraState} CameraState */
@@ -33,13 +35,30 @@ const CONFIRM = 1000;
 /** Cards have ids of their own on the page, also where both sides have theirs. */
 let count = 0;
 
+/**
+ * On and off; with two modalities colour, depth, both, off: those that every policy here gets.
+ * @param {Entry[]} entries
+ * @param {string} camera
+ * @returns {[CameraState['input'], string][]}
+ */
+export function choicesOf(entries, camera) {
+  const several = entries.some(one =>
+    one.streams.filter(stream => cameraOf(stream) === camera).length > 1);
+  if (!several) return [['both', 'on'], ['off', 'off']];
+  /** @type {[CameraState['input'], string][]} */
+  const choices = [['rgb', 'colour'], ['depth', 'depth'], ['both', 'both'], ['off', 'off']];
+  return choices.filter(([value]) => entries.every(one => gives(one.streams, camera, value)));
+}
+
 export class SwitchBoard {
   /**
-   * @param {Entry} entry
+   * @param {Entry[]} entries Of all sides that it acts on.
    * @param {SideName} side
    * @param {(command: Command) => void} send
    */
-  constructor(entry, side, send) {
+  constructor(entries, side, send) {
+    const [entry] = entries;
+    this.entries = entries;
     this.entry = entry;
     this.side = side;
     this.send = send;
@@ -123,14 +142,9 @@ export class SwitchBoard {
     return card;
   }
 
-  /** On and off; with two modalities colour, depth, both, off. @param {string} camera
-   * @param {string} label */
+  /** @param {string} camera @param {string} label */
   inputs(camera, label) {
-    const own = this.entry.streams.filter(stream => stream.split('.')[0] === camera);
-    /** @type {[CameraState['input'], string][]} */
-    const choices = own.length > 1
-      ? [['rgb', 'colour'], ['depth', 'depth'], ['both', 'both'], ['off', 'off']]
-      : [['both', 'on'], ['off', 'off']];
+    const choices = choicesOf(this.entries, camera);
     const group = `input-${count += 1}`;
     let asked = '';
     let since = -Infinity;

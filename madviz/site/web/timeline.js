@@ -2,7 +2,7 @@
 
 import {cameraColourNow, colourNow} from './colours.js';
 import {make, say} from './dom.js';
-import {labelOf, stateWords} from './words.js';
+import {eventWords} from './words.js';
 
 /** @typedef {import('./messages.js').Frame} Frame */
 /** @typedef {import('./messages.js').World} World */
@@ -81,9 +81,7 @@ export class Timeline {
       const x = event.step / entry.horizon * wide;
       context.fillStyle = index < 0 ? colourNow('--ink') : cameraColourNow(index);
       context.fillRect(x - 1.5, 0, 3, 64);
-      const deed = event.state ? stateWords(event.state) : 'moved';
-      const words = event.guard === undefined ? `${labelOf(event.camera, entry.cameras)} ${deed}`
-        : `guard ${event.guard ? 'on' : 'off'}`;
+      const words = eventWords(event, entry.cameras);
       const room = context.measureText(words).width;
       context.fillStyle = colourNow('--ink');
       // Words of neighbours stand below each other.

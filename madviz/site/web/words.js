@@ -4,6 +4,9 @@
  * Plain functions from frames to text, the same sentences as `madviz/session/frame.py` has.
  */
 
+import {noOcclusion} from './camera_state.js';
+import {failureKey} from './subsets.js';
+
 /** @typedef {import('./messages.js').CameraSpec} CameraSpec */
 /** @typedef {import('./messages.js').CameraState} CameraState */
 /** @typedef {import('./messages.js').Displacement} Displacement */
@@ -37,13 +40,18 @@ export function subsetWords(subset, cameras) {
 /**
  * @param {import('./messages.js').Condition} condition
  * @param {CameraSpec[]} cameras
+ * @returns {string} `with guard · all cameras · first:noise strength=0.5`; numbers that are as they
+ *   begin are left out.
  */
-export function conditionWords(condition, cameras) {
-  const words = subsetWords(condition.subset, cameras);
-  return [words, ...condition.occlusions ? ['with failures'] : [],
-    ...condition.guarded ? ['with guard'] : []].join(', ');
+export function conditionWords({subset, occlusions, guarded}, cameras) {
+  const plain = failureKey(noOcclusion()).split(',');
+  const failures = occlusions.split(';').map(one =>
+    one.split(',').filter(word => !plain.includes(word)).join(' ')).join(', ');
+  return [guarded ? 'with guard' : '', subsetWords(subset, cameras), failures].filter(Boolean)
+    .join(' · ');
 }
 
+const HOME = 'is back in its place';
 const NOTICED = {fine: '', gone: 'sends nothing', black: 'sends black', covered: 'is covered',
   noise: 'sends noise', blurred: 'is blurred', frozen: 'is frozen', lossy: 'loses pictures',
   late: 'is late'};
@@ -124,8 +132,19 @@ export function changeWords(change, cameras) {
   const label = labelOf(change.camera, cameras);
   const back = change.before.input === 'off' && change.after.input !== 'off'
     && change.after.occlusion.kind === 'none';
-  const deed = change.moved ? 'has another place' : back ? 'is back' : stateWords(change.after);
+  const place = change.home ? HOME : 'has another place';
+  const deed = change.moved ? place : back ? 'is back' : stateWords(change.after);
   return `${label} ${deed}: ${effectWords(change)}`;
+}
+
+/**
+ * @param {import('./messages.js').CameraEvent} event
+ * @param {CameraSpec[]} cameras
+ * @returns {string} `Third A is off`, for the mark of a step.
+ */
+export function eventWords({camera, state, move, guard}, cameras) {
+  if (guard !== undefined) return `guard ${guard ? 'on' : 'off'}`;
+  return `${labelOf(camera, cameras)} ${state ? stateWords(state) : move ? 'moved' : HOME}`;
 }
 
 /** @param {NonNullable<World['change']>} change */
