@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from pathlib import Path
 
 import nbformat
@@ -11,6 +12,7 @@ import pytest
 from nbformat.v4 import new_code_cell, new_notebook
 
 from madviz.errors import UserError
+from madviz.grading import run as grading_run
 from madviz.grading.copies import checks_of, handed_out, prepare, returned
 from madviz.grading.grade import Grade, GradeConfig, grade, grade_words, rows_of, table
 from madviz.grading.run import CopyRun, environment, read
@@ -123,6 +125,39 @@ def test_an_answer_in_the_cell_of_its_check_is_kept(class_: Path, kept: str) -> 
     assert RIGHT in sources[1] and "madviz.grading.inside" in sources[2] and sources[3] == "1 / 0"
 
 
+def test_a_folder_that_cannot_be_read_is_named(
+    class_: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root reads any folder, so the error is made here; a hidden folder is not looked into."""
+    for name in ("ada/02_merge.ipynb", "bob/02_merge.ipynb", ".hidden/02_merge.ipynb"):
+        come_back(class_, name, notebook(RIGHT))
+    look, closed = os.scandir, {".hidden", "bob"}
+
+    def scandir(path):
+        if Path(path).name in closed:
+            raise PermissionError(13, "Permission denied", path)
+        return look(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(UserError, match=r"expected folders .* found .*/bob: Permission denied; "):
+        list(returned(class_ / "returned", [LESSON]))
+    closed.remove("bob")
+    (class_ / "returned" / "cy_02_merge").symlink_to(class_ / "lessons")  # One file, as before.
+    found = [one.name for one in returned(class_ / "returned", [LESSON])]
+    assert found == ["ada/02_merge.ipynb", "bob/02_merge.ipynb", "cy_02_merge"]
+
+
+def test_a_broken_notebook_that_was_handed_out_is_named(class_: Path) -> None:
+    file = class_ / "lessons" / f"{LESSON}.ipynb"
+    whole = file.read_text()
+    bare = json.loads(whole)
+    del bare["cells"][2]["metadata"]
+    for text in (whole[: len(whole) // 2], json.dumps(bare)):
+        file.write_text(text)
+        with pytest.raises(UserError, match=f"found a broken one at {file}"):
+            handed_out(class_ / "lessons")
+
+
 def test_only_tagged_cells_are_checks() -> None:
     lesson = notebook(EMPTY)
     assert list(checks_of(lesson)) == ["02.merge"]
@@ -148,18 +183,20 @@ def test_what_is_no_notebook_is_said(class_: Path) -> None:
         prepare(link, lesson)
 
 
-def test_half_a_report_counts(tmp_path: Path) -> None:
-    lines = [
-        json.dumps({"error": "cell 3: ZeroDivisionError"}),
-        json.dumps({"result": {"name": "02.merge", "passed": True, "missing": "", "error": ""}}),
-        json.dumps({"result": {"name": "02.mean"}}),  # A student's code has made it up.
-        '{"result": {"na',
-    ]
-    (tmp_path / "report").write_text("\n".join(lines))
-    run = read(tmp_path / "report")
-    assert run.results.keys() == {"02.merge"} and run.results["02.merge"].passed
-    assert run.errors == {"02.merge": "cell 3: ZeroDivisionError"}
-    assert read(tmp_path / "none").results == {}
+def test_a_copy_that_cannot_be_graded_has_its_rows(
+    class_: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(notebook, *limits):
+        if "features.sum(0)" in notebook.cells[1].source:
+            raise OSError("no \x1b such report")
+        return CopyRun({"02.merge": Result("02.merge", True)})
+
+    monkeypatch.setattr(grading_run, "run_copy", fails)
+    come_back(class_, "ada_02_merge.ipynb", notebook(SUM_OF_ALL))
+    come_back(class_, "bob_02_merge.ipynb", notebook(RIGHT))
+    rows = graded(class_)
+    assert rows["ada"]["error"] == "it could not be graded: OSError: no \\x1b such report"
+    assert (rows["ada"]["passed"], rows["bob"]["passed"]) == ("no", "yes")
 
 
 def test_a_check_that_never_ends_has_its_reason_and_the_next_one_none(

@@ -199,6 +199,24 @@ def test_closing_ends_all_threads_and_says_so() -> None:
     until(lambda: not threads() - before)
 
 
+def test_a_cell_that_asks_a_closed_explorer_hears_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    explorer = Explorer(FakePolicy())
+    explorer.close()
+    monkeypatch.setattr("madviz.widgets.explorer.PATIENCE", 0.1)
+    for ask in (explorer.step, lambda: explorer.set("first", "off")):
+        with pytest.raises(UserError, match="this simulation has ended; run the cell again"):
+            ask()
+
+
+def test_a_simulation_that_does_not_answer_is_an_error(
+    explorer: Explorer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("madviz.widgets.explorer.PATIENCE", 0.1)
+    monkeypatch.setattr(explorer.session, "send", lambda command: None)
+    with pytest.raises(UserError, match=r"answer within 0\.1 s, found no new frame"):
+        explorer.step()
+
+
 def test_too_many_explorers_end_the_oldest(
     explorer: Explorer,
 ) -> None:

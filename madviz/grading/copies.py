@@ -15,11 +15,13 @@ it is gone it goes to the end: everything that the student wrote has run by then
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 import nbformat
 from nbformat import NotebookNode
@@ -49,9 +51,18 @@ class Returned:
 
 
 def handed_out(folder: Path) -> dict[str, NotebookNode]:
-    """Lessons with checks, by name. Raises UserError where there are none."""
-    notebooks = {path.stem: nbformat.read(path, 4) for path in sorted(folder.glob("*.ipynb"))}
-    lessons = {name: notebook for name, notebook in notebooks.items() if checks_of(notebook)}
+    """Lessons with checks, by name. Raises UserError where there are none, or one is broken."""
+    lessons: dict[str, NotebookNode] = {}
+    for path in sorted(folder.glob("*.ipynb")):
+        try:
+            notebook = nbformat.read(path, 4)
+            if checks_of(notebook):
+                lessons[path.stem] = notebook
+        except Exception as error:  # Whatever half of a file may hold.
+            raise UserError(
+                f"expected a notebook that was handed out, found a broken one at {path} "
+                f"({type(error).__name__}); put a good copy there, or move it away"
+            ) from error
     if not lessons:
         raise UserError(
             f"expected the notebooks that were handed out in {folder}, found none with checks; "
@@ -61,7 +72,8 @@ def handed_out(folder: Path) -> dict[str, NotebookNode]:
 
 
 def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
-    """Every file in ``folder``: STUDENT/…/LESSON.ipynb, or STUDENT_LESSON.ipynb side by side."""
+    """Every file in ``folder``: STUDENT/…/LESSON.ipynb, or STUDENT_LESSON.ipynb side by side.
+    Raises UserError for a folder that cannot be read."""
     found = list(_files(folder, lessons))
     alike = Counter((one.student, one.lesson) for one in found)
     for one in found:
@@ -69,14 +81,27 @@ def returned(folder: Path, lessons: list[str]) -> Iterator[Returned]:
 
 
 def _files(folder: Path, lessons: list[str]) -> Iterator[Returned]:
-    for file in sorted(folder.rglob("*")):
+    for file in sorted(_below(folder)):
         inside = file.relative_to(folder)
-        if file.is_dir() and not file.is_symlink() or any(p.startswith(".") for p in inside.parts):
-            continue
         lesson = next((name for name in lessons if name in file.stem), "")
         alone = file.stem.replace(lesson, "").strip(" _-.") or file.stem
         student = inside.parts[0] if len(inside.parts) > 1 else alone
         yield Returned(file, printable(student), lesson, printable(str(inside)))
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Files and links; what is hidden is left out."""
+    for place, folders, files in os.walk(folder, onerror=_unreadable):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        links = [name for name in folders if os.path.islink(os.path.join(place, name))]
+        yield from (Path(place, name) for name in [*links, *files] if not name.startswith("."))
+
+
+def _unreadable(error: OSError) -> NoReturn:
+    raise UserError(
+        f"expected folders that can be read, found {error.filename}: {error.strerror}; "
+        "let this account read it, or move it away"
+    ) from error
 
 
 def checks_of(notebook: NotebookNode) -> dict[str, NotebookNode]:

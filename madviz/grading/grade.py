@@ -32,7 +32,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from madviz.errors import UserError, saving
+from madviz.errors import UserError, printable, saving
 from madviz.policies.checkpoint import policy_roots
 from madviz.system.files import write_bytes, written_to
 from madviz.system.numbers import Count, check_numbers
@@ -157,14 +157,17 @@ def graded(
     if not copy.lesson:
         return [_row(copy, "", f"expected a name with one of {', '.join(lessons)}")]
     exercises = list(checks_of(lessons[copy.lesson]))
+    roots = [root.resolve() for root in policy_roots()]
     try:
         if copy.file.suffix != SUFFIX:
             raise UserError("expected a notebook, found another file")
         notebook, edited = prepare(copy.file, lessons[copy.lesson])
+        run = run_copy(notebook, roots, config.seconds, config.gigabytes << 30, stop)
     except UserError as error:
         return [_row(copy, exercise, str(error)) for exercise in exercises]
-    roots = [root.resolve() for root in policy_roots()]
-    run = run_copy(notebook, roots, config.seconds, config.gigabytes << 30, stop)
+    except Exception as error:  # Whatever a copy has done: the others are graded.
+        trouble = printable(f"it could not be graded: {type(error).__name__}: {error}")
+        return [_row(copy, exercise, trouble) for exercise in exercises]
     return list(rows_of(copy, exercises, edited, run))
 
 

@@ -9,6 +9,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,19 +89,35 @@ def run_copy(
 
 
 def watch(worker: subprocess.Popen, deadline: float, stop: threading.Event) -> str:
-    """Waits for a copy's process, and ends it and all under it where that takes too long."""
+    """Waits for a copy's process, and ends it where that takes too long. In any case it ends what
+    was seen under it and what is under that: a copy can kill the process that would do so."""
+    seen: dict[int, str] = {}
     try:
-        while worker.poll() is None and time.monotonic() < deadline and not stop.is_set():
+        while worker.poll() is None:
+            seen |= {process: started(process) for process in family(worker.pid)}
+            if stop.is_set():
+                return "stopped"
+            if time.monotonic() >= deadline:
+                return OVER
             time.sleep(STEP)
-        return "" if worker.poll() is not None else "stopped" if stop.is_set() else OVER
+        return ""
     finally:
-        if worker.poll() is None:
-            for process in [*family(worker.pid)[1:], worker.pid]:
-                try:
-                    os.kill(process, signal.SIGKILL)
-                except ProcessLookupError:
-                    continue
+        left = [process for process, start in seen.items() if start and start == started(process)]
+        for process in {each for one in left for each in family(one)}:
+            with suppress(OSError):
+                os.kill(process, signal.SIGKILL)
+        worker.kill()
         worker.wait()
+
+
+def started(process: int) -> str:
+    """The time at which a process began, as Linux counts it; '' if it is gone. A number of a
+    process that has ended is given to another one, with another time."""
+    try:
+        text = Path(f"/proc/{process}/stat").read_text(errors="replace")
+    except OSError:
+        return ""
+    return text.rpartition(")")[2].split()[19]  # Before it is a name of the copy's choice.
 
 
 def environment(place: Path, policies: list[Path]) -> dict[str, str]:
@@ -122,10 +139,11 @@ def read(report: Path) -> CopyRun:
     code may have made up a result; such lines are passed over."""
     run = CopyRun()
     error = ""
-    for text in report.read_text().splitlines() if report.exists() else []:
+    there = report.is_file()  # A folder or a pipe may have taken its place.
+    for text in report.read_text(errors="replace").splitlines() if there else []:
         try:
             line = msgspec.json.decode(text, type=ReportLine)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, RecursionError):
             continue
         if line.result is not None:
             run.results[line.result.name] = line.result

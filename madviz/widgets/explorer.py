@@ -223,15 +223,22 @@ class Explorer(StaticBox):
         return self.frame
 
     def _send_and_wait(self, command: Command, done: Callable[[Frame], bool]) -> None:
-        """Sends a command and waits for a frame that shows it, or a later error."""
+        """Sends a command and waits for a frame that shows it, or a later error. Raises UserError
+        where neither comes, as after ``close``."""
         before = self.frame.pace.number
         self.session.send(command)
         deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline:
+        while not self._closing.is_set():
             frame = self.frame
             if done(frame) or (frame.pace.error and frame.pace.number > before):
                 return
+            if time.monotonic() >= deadline:
+                raise UserError(
+                    f"expected the simulation to answer within {PATIENCE:g} s, found no new frame; "
+                    "run the cell again"
+                )
             time.sleep(0.005)
+        raise UserError("this simulation has ended; run the cell again")
 
     # Controls.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -75,18 +76,29 @@ def mended(mended: Any) -> None:
 
 def _finds_frozen(test: Any) -> None:
     picture = _picture()
-    other = picture.copy()
-    other[40, 40, 1] += 1
     hand = np.array([0.1, 0.6, 0.2], np.float32)
     moved = hand + np.float32(0.01)
     for axis in np.eye(3, dtype=np.float32):
         found = _answer(test, picture, picture.copy(), hand + 0.01 * axis, hand)
         words = "it misses a camera whose picture is the same while the hand moved by 1 cm"
         expect(found, f"{words} along {'xyz'[int(axis.argmax())]} alone")
-    expect(
-        not _answer(test, other, picture, moved, hand),
-        "it raises an alarm where one pixel of the picture has changed",
-    )
+    for other, what in _changed(picture):
+        expect(
+            not _answer(test, other, picture, moved, hand),
+            f"it raises an alarm where {what}",
+        )
+
+
+def _changed(picture: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
+    """Other pictures, each with what has changed: one value of each colour, or two whole pixels
+    with different values, which leaves every sum as it was."""
+    for colour, place in enumerate((0, 40, 83)):
+        other = picture.copy()
+        other[place, place, colour] += 1
+        yield other, "one pixel of the picture has changed"
+    other = picture.copy()
+    other[10, [20, 60]] = picture[10, [60, 20]]
+    yield other, "two pixels of the picture have changed places"
 
 
 def _picture() -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from madviz.teaching.checks.exercise import call, exercise, expect, number
 
-RATES = {"": 0.0, "a": 0.1, "b": 0.3, "c": 0.0, "ab": 0.8, "ac": 0.2, "bc": 0.4, "abc": 1.0}
+RATES = {"": 0.05, "a": 0.1, "b": 0.3, "c": 0.0, "ab": 0.8, "ac": 0.2, "bc": 0.4, "abc": 1.0}
 """Success by cameras."""
 
 
@@ -57,4 +57,4 @@ def spared(spared: Any) -> None:
     known = ("first", "third_a", "third_b")
     expect(spared in known, f"expected one of {', '.join(known)}, found {spared!r:.60}")
     expect(spared != "first", "without First person there is no success at all")
-    expect(spared != "third_a", "without Third A nearly a quarter of the episodes fails")
+    expect(spared != "third_a", "without Third A about a sixth of the episodes fails")
