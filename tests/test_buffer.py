@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tracemalloc
 from dataclasses import replace
@@ -304,6 +305,35 @@ def test_a_restored_buffer_goes_on_as_if_never_stopped(
     third.views, third.states, third.steps = again.views, again.states, again.steps
     assert drawn(third.buffer) == drawn(again.buffer)
     third.check(np.array(drawn(third.buffer)))
+
+
+def test_the_room_on_a_disk_is_taken_at_the_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mapped file that meets a full disk later ends the process with a bus error."""
+    PlainFrames(10, (3,), [tmp_path / "first.frames"])
+    assert 512 * (tmp_path / "first.frames").stat().st_blocks >= 10 * 84 * 84 * 3
+
+    def full(file: int, start: int, size: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(OSError, match="No space left"):
+        PlainFrames(10, (3,), [tmp_path / "first.frames"])
+
+
+def test_a_small_buffer_still_holds_the_episode_that_is_running() -> None:
+    """A resumed run repeats it, by all of its actions."""
+    buffer = ReplayBuffer(replace(SPEC, capacity=8, horizon=20, lanes=2))
+    frames = [np.zeros((84, 84, c), np.uint8) for c in SPEC.channels]
+    for _ in range(2):  # Episodes; the second one is not over.
+        for _ in range(2):
+            buffer.begin(np.zeros(6), frames)
+        for step in range(19):
+            for lane in range(2):
+                buffer.add(np.full(2, step + lane / 2), 0.0, 1.0, np.zeros(6), frames)
+    expected = np.arange(19)[:, None] + [0, 0.5]  # (age, L)
+    np.testing.assert_array_equal(buffer.actions()[..., 0], expected)
 
 
 def test_the_memory_it_will_need_is_said_before() -> None:

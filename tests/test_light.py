@@ -135,6 +135,14 @@ def test_a_recorded_episode_repeats_to_the_bit() -> None:
     assert not np.array_equal(one.actions, one.labels)
 
 
+def test_a_task_whose_episodes_end_early_is_refused() -> None:
+    env = ToyReach()
+    step = env.step
+    env.step = lambda action: replace(step(action), last=True)  # type: ignore[method-assign]
+    with pytest.raises(UserError, match=r"all 25 decisions, found one that ended after 1; only"):
+        record_episode(env, THREE, Driver(), 3)
+
+
 def test_an_episode_comes_back_from_its_file(tmp_path: Path) -> None:
     episode = record_episode(ToyReach(), RGBD, Driver(), 1)
     episode.save(tmp_path / "e.npz")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from benchmarks.naive import NaiveLearner
+from madviz.agent import update
 from madviz.agent.agent import Agent
 from madviz.agent.methods import METHODS, method
 from madviz.agent.networks import NetworkConfig
@@ -189,6 +191,23 @@ def assert_as_in_paper(found: Agent, expected: Params) -> None:
             )
         # Adam's first step is 5e-4 whatever the gradient; where that is almost 0, so is its sign.
         torch.testing.assert_close(parameter, expected[name], rtol=1e-6, atol=1e-7, msg=name)
+
+
+@pytest.mark.parametrize(("name", "row"), [("mad", 0), ("singular-only", 1)])
+def test_the_entropy_is_that_of_a_trained_row(
+    name: str, row: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Tensor] = []
+
+    def losses(*args: Any) -> tuple[Tensor, Tensor]:
+        found = actor_losses(*args)
+        drawn.append(found[1].detach().clone())
+        return found
+
+    monkeypatch.setattr(update, "actor_losses", losses)
+    learner = make_learner(make_agent().float(), name, STREAMS["three"])
+    entropy = learner.update(make_batch(3))["entropy"]
+    assert entropy == pytest.approx(-drawn[0][row].mean().item())
 
 
 # --- One full update -------------------------------------------------------------------------

@@ -311,6 +311,16 @@ def test_a_run_without_exploring_is_refused(recipe: str, tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
+def test_a_refused_run_leaves_no_frames_on_the_disk(tmp_path: Path) -> None:
+    """They would stand in the way of the command without the mistake."""
+    short = replace(TINY, steps=8, exploration_steps=8, buffer_on_disk=True)
+    whole = TrainConfig("toy/reach", "mad", "paper", out=tmp_path / "run", paper=short)
+    with pytest.raises(UserError, match="nothing would be learned"):
+        train(whole, lambda event: None)
+    left = {file.name for file in tmp_path.rglob("*") if file.is_file()}
+    assert not left & {"run.json", "first.frames", "first.rgb.frames"}
+
+
 def test_one_decision_of_exploring_is_enough(tmp_path: Path) -> None:
     run(tmp_path, replace(TINY, steps=8, exploration_steps=1))
     assert state_of(tmp_path)["updates"] == 3  # Before decisions 2, 4 and 6.

@@ -161,7 +161,7 @@ class Learner:
         if draw.own_loss is not None:
             self._own_step(as_stored, *draw.own_loss)
         with torch.no_grad():
-            entropy = -log_prob[0].mean()  # of the merged row
+            entropy = -log_prob[self._trained[0]].mean()  # of the merged row, where it is trained
             return torch.stack([critic, actor, agent.log_temperature.exp(), entropy])
 
     @torch.inference_mode()

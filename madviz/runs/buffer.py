@@ -81,8 +81,11 @@ class BufferSpec:
 
     @property
     def rows(self) -> int:
-        """Time steps in the ring; a stack reaches ``frame_stack`` - 1 rows back."""
-        in_lane = -(-self.capacity // self.lanes)
+        """Time steps in the ring; a stack reaches ``frame_stack`` - 1 rows back.
+
+        Every lane has room for the episode that is running: a resumed run plays it again.
+        """
+        in_lane = max(-(-self.capacity // self.lanes), self.horizon)
         return self.lanes * (in_lane + -(-in_lane // self.horizon) + self.frame_stack)
 
     @property

@@ -18,6 +18,8 @@ are not packed: ``buffer_device.py``.
 
 from __future__ import annotations
 
+import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -80,12 +82,13 @@ class PlainFrames(FrameStore):
     """Every frame as it is, in memory or in files."""
 
     def __init__(self, rows: int, channels: Sequence[int], files: Sequence[Path] = ()) -> None:
-        """Room for ``rows`` time steps; in a file for each stream if there are ``files``."""
+        """Room for ``rows`` time steps; in a file for each stream if there are ``files``. Raises
+        OSError for a disk without the room."""
         super().__init__(channels)
         shapes = [(rows, IMAGE_SIZE, IMAGE_SIZE, count) for count in channels]
         self._rows = rows
         self._arrays: list[Array] = (
-            [np.memmap(f, np.uint8, "w+", shape=s) for f, s in zip(files, shapes, strict=True)]
+            [_reserved(file, shape) for file, shape in zip(files, shapes, strict=True)]
             if files
             else [np.empty(shape, np.uint8) for shape in shapes]
         )
@@ -97,6 +100,14 @@ class PlainFrames(FrameStore):
     def read(self, stream: int, numbers: Iterable[int]) -> dict[int, Array]:
         array = self._arrays[stream]
         return {number: array[number % self._rows] for number in numbers}
+
+
+def _reserved(file: Path, shape: tuple[int, ...]) -> Array:
+    """A new file as an array. Its room is taken now: a mapped file that finds a full disk later
+    would end the process without a word."""
+    with file.open("wb") as new:
+        os.posix_fallocate(new.fileno(), 0, math.prod(shape))
+    return np.memmap(file, np.uint8, "r+", shape=shape)
 
 
 class Pack:

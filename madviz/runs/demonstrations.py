@@ -104,7 +104,8 @@ class Driver:
 def record_episode(
     env: Environment, streams: tuple[str, ...], driver: Driver, seed: int
 ) -> Episode:
-    """Plays one episode; the same arguments give the same episode to the bit."""
+    """Plays one episode; the same arguments give the same episode to the bit. Raises UserError for
+    one that ends early: rows of all episodes stand side by side."""
     rng = np.random.default_rng([seed, 7])
     stack = StreamStack(env.spec, streams)
     cameras = cameras_of(streams)
@@ -134,6 +135,11 @@ def record_episode(
         now = env.step(action)
         for key, value in (("actions", action), ("labels", label), ("rewards", now.reward)):
             rows[key].append(value)
+        if now.last and step + 1 < env.spec.horizon:
+            raise UserError(
+                f"expected episodes of {env.spec.task} to have all {env.spec.horizon} decisions, "
+                f"found one that ended after {step + 1}; only --recipe paper trains on such a task"
+            )
     arrays = {key: np.asarray(value, np.float32) for key, value in rows.items()}
     stacked = {s: np.stack(f) for s, f in frames.items()}
     return Episode(stacked, **arrays, success=bool(now.success))

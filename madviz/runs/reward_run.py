@@ -77,6 +77,11 @@ class RewardRun(Generic[Learns, Options]):
         self.folder = folder
         self.learner = learner
         self.numbers = config.numbers_of(plan.spec.task)
+        if config.exploration_steps >= config.steps:
+            raise UserError(
+                f"expected more steps than the {config.exploration_steps} of exploration, found "
+                f"{config.steps}: nothing would be learned; say fewer exploration-steps"
+            )
         where = config.frames_device()
         self.buffer = ReplayBuffer(
             BufferSpec(
@@ -93,11 +98,6 @@ class RewardRun(Generic[Learns, Options]):
             device=where,
         )
         self.rng = np.random.default_rng(plan.seed)
-        if config.exploration_steps >= config.steps:
-            raise UserError(
-                f"expected more steps than the {config.exploration_steps} of exploration, found "
-                f"{config.steps}: nothing would be learned; say fewer exploration-steps"
-            )
         self.step = 0
         self.updates = 0
         self.drawn = 0
