@@ -444,7 +444,7 @@ def test_a_site_that_is_not_whole_says_so(visit, tmp_path: Path):
 CLICKED = """async () => {
   const {SwitchBoard} = await import('./switches.js');
   const entry = {cameras: [{name: 'first', label: 'First'}], streams: ['first'], recorded: false};
-  const board = new SwitchBoard(entry, 'a', () => {});
+  const board = new SwitchBoard([entry], 'a', () => {});
   document.body.append(board.element);
   const before = {cameras: {}, moves: {}};
   const [on, off] = board.element.querySelectorAll('input[type=radio]');
