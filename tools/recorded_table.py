@@ -74,7 +74,8 @@ def recorded() -> str:
 
 
 def films() -> str:
-    """As ``recorded``, of the trainings on films that LeRobot's own writer made."""
+    """The table has the success of each method that learned from LeRobot's own films; a sentence
+    says whether the audit's changes predict it."""
     with TABLE.open(newline="") as file:
         measured = [row for row in csv.DictReader(file) if int(row["seed"]) in FILM_SEEDS]
     lines = []

@@ -38,7 +38,8 @@ def features(env: Environment) -> dict[str, dict]:
 
 
 def decisions(env: Environment, seed: int) -> Iterator[dict]:
-    """What every camera saw, the state and the script's action, at each decision of an episode."""
+    """Yields each decision of an episode: a picture (H, W, 3) uint8 of every camera, the state
+    (S,), the script's action (A,) and the task in words."""
     now = env.reset(seed)
     while True:
         views = {camera.name: env.view(camera.name, max(SIZE)).rgb for camera in env.spec.cameras}
