@@ -321,7 +321,7 @@ def test_nothing_is_chosen_on_reporting_seeds(tmp_path: Path) -> None:
 def test_two_policies_of_one_training_seed_are_not_mixed_into_a_rate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two runs of a sweep over the learning rate have one label and seed; here also other scenes."""
+    """Two runs of a sweep over the learning rate have one label and one seed."""
     write_policy(tmp_path, rates(1, 1, 1, 1), folder="a")
     write_policy(tmp_path, rates(0, 0, 0, 0), folder="b", first_seed=5100)
     row = row_of("mad", ("all",), find_evidence(tmp_path)[0])
